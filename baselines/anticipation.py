@@ -10,6 +10,7 @@ import numpy as np
 
 from crowdbench import Scene
 from crowdbench.policies.memory import Memory
+from crowdbench.policies.onnx_runtime import runtime
 from crowdbench.simulation import social
 from crowdbench.simulation.free_space import REACH_M
 from crowdbench.spawn.recorded_plans import VISIT_M
@@ -333,8 +334,7 @@ class InProcess:
     noise = NOISE
 
     def __init__(self, sampler: Sampler, interval: int) -> None:
-        import onnxruntime
-
+        onnxruntime = runtime()
         self.interval, self.weights = interval, sampler.weights.numpy()
         fed = (torch.rand(7, social.SIZE), torch.randn(7, NOISE), sampler.weights)
         persons = torch.export.Dim("A", min=1)

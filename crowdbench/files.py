@@ -10,6 +10,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import subprocess
 import tempfile
 import time
@@ -41,11 +42,18 @@ def home() -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path`; rename it to `path` if the block succeeds.
 
-    If the block fails, folders that were created for `path` are removed if they are empty.
+    If the block fails, folders that were created for `path` are removed if they are empty. A link
+    stays, and the file that it leads to is replaced.
 
     Raises:
-        OutputError: the folder or the file cannot be written.
+        OutputError: the folder or the file cannot be written, or `path` is a device, a pipe or a
+            folder, which a file would replace.
     """
+    path = path.resolve() if path.is_symlink() else path
+    if path.exists() and not path.is_file():
+        raise OutputError(
+            path, got=_kind(path), expected="a file, or no such path", hint="Choose another name."
+        )
     temporary = path.parent / f".{path.stem}-{secrets.token_hex(4)}{path.suffix}"
     made: list[Path] = []
     try:
@@ -117,6 +125,18 @@ def _held(path: Path) -> Iterator[bool]:
             os.close(descriptor)
 
 
+def _kind(path: Path) -> str:
+    """What a path is that is no file, in words."""
+    kinds = {
+        stat.S_IFDIR: "a folder",
+        stat.S_IFIFO: "a pipe",
+        stat.S_IFSOCK: "a socket",
+        stat.S_IFCHR: "a device",
+        stat.S_IFBLK: "a device",
+    }
+    return kinds.get(stat.S_IFMT(path.stat().st_mode), "no file")
+
+
 def unwritable(path: Path, error: OSError) -> OutputError:
     """Error that states why `path` cannot be written."""
     got = error.strerror or str(error)
@@ -146,11 +166,15 @@ def write_json(path: Path, value: Any, *, compact: bool = False) -> None:
 
 
 def read_bytes(path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
-    """Content of the file `path`, unpacked if its name ends in .gz; raises `error` without one."""
+    """Content of the file `path`, unpacked if its name ends in .gz; raises `error` without one.
+
+    Pipes and devices are errors: they may never end.
+    """
     try:
+        if not stat.S_ISREG(path.stat().st_mode):  # `hint` tells how to mend a file
+            got, what = _kind(path), "Name a file in it." if path.is_dir() else "Name a file."
+            raise error(path, got=got, expected="a file", hint=what)
         data = path.read_bytes()
-    except IsADirectoryError as cause:  # `hint` tells how to mend a file
-        raise error(path, got="a folder", expected="a file", hint="Name a file in it.") from cause
     except OSError as cause:
         got = "no such file" if isinstance(cause, FileNotFoundError) else str(cause.strerror)
         raise error(path, got=got, expected="a readable file", hint=hint) from cause

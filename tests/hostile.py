@@ -1,10 +1,12 @@
 """What a submission might do in the sandbox."""
 
+import json
 import os
 import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from crowdbench.errors import SettingError
@@ -165,3 +167,41 @@ def keep_in_the_store(key: str, beside: str) -> str:
     store.keep(key, ".parquet", b"hostile", Path(beside))
     found = store.find(key, ".parquet", Path("elsewhere"))
     return "" if found is None else found.read_text()
+
+
+def look(path: str, home: str) -> dict[str, object]:
+    """What it finds of a secret file, of the user's home, and of the process that started it."""
+    try:
+        secret = Path(path).read_text()
+    except OSError as error:
+        secret = error.strerror or ""
+    inside = sorted(name for name in os.listdir(home)) if Path(home).is_dir() else []
+    known = {part for entry in (sys.prefix, sys.base_prefix) for part in Path(entry).parts}
+    try:
+        os.kill(json.loads(Path(sys.argv[1], "asked.json").read_text())["parent"] or 2**22 - 1, 0)
+        signal = "reached"
+    except OSError:
+        signal = "no process"
+    return {"secret": secret, "home": [i for i in inside if i not in known], "signal": signal}
+
+
+def write_into(folders: list[str]) -> None:
+    for folder in folders:
+        with suppress(OSError):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            Path(folder, "file").write_text("written")
+
+
+def fork_twice(path: str) -> None:
+    """Leave a grandchild behind that left the session and writes on."""
+    beat = f"""
+import pathlib, time
+for k in range(600):
+    pathlib.Path({path!r}).write_text(str(k))
+    time.sleep(.05)
+"""
+    if os.fork() == 0:
+        os.setsid()
+        subprocess.Popen([sys.executable, "-c", beat])
+        os._exit(0)
+    time.sleep(2)

@@ -1,13 +1,14 @@
 """Packed JSON: the same bytes each time, and no more unpacked than fits."""
 
 import gzip
+import os
 from pathlib import Path
 
 import pytest
 
 from crowdbench import files
-from crowdbench.errors import WeightsError
-from crowdbench.files import read_struct, write_json
+from crowdbench.errors import OutputError, WeightsError
+from crowdbench.files import read_struct, write_json, write_text
 
 HINT = "Make it again."
 
@@ -43,3 +44,27 @@ def test_broken_packed_json_is_refused(
         read_struct(tmp_path / "a.json.gz", dict, WeightsError, HINT)
     assert told in str(caught.value)
     assert HINT in str(caught.value)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_pipes_and_devices_are_neither_read_nor_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "table.json"
+    os.mkfifo(pipe)
+    with pytest.raises(WeightsError, match="got a pipe; expected a file"):
+        read_struct(pipe, dict, WeightsError, "")
+    with pytest.raises(OutputError, match="got a pipe; expected a file, or no such path"):
+        write_json(pipe, {})
+    assert pipe.is_fifo()
+    with pytest.raises(OutputError, match="got a device"):
+        write_text(Path("/dev/null"), "lost")
+    assert Path("/dev/null").is_char_device()
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+def test_a_link_stays_and_its_file_is_replaced(tmp_path: Path) -> None:
+    file, link = tmp_path / "file.json", tmp_path / "link.json"
+    write_json(file, {"a": 1})
+    link.symlink_to(file)
+    write_json(link, {"a": 2})
+    assert link.is_symlink()
+    assert read_struct(file, dict, WeightsError, "") == {"a": 2}

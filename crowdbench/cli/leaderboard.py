@@ -56,6 +56,7 @@ def verify(
     workers: Workers = None,
     engine: EngineName = LOCAL,
     exam: bool = False,
+    replace: bool = False,
     at_most: SandboxLimits = SandboxLimits(),
 ) -> None:
     """Roll out and score submissions in a sandbox and write their entries.
@@ -63,6 +64,7 @@ def verify(
     Args:
         submissions: folders of submissions
         exam: also put their policies through the exam (some minutes; it does not rank)
+        replace: overwrite entries with the same ids by the same authors
         out: output folder of ID.json.gz, ID.run.json and the rollouts (work/)
     """
     from crowdbench.leaderboard.verification import verify as verification
@@ -73,14 +75,20 @@ def verify(
     if not is_local():  # all at once, each by one process of the cluster
         with progress_bar("submissions"):
             each = verification.verify_each(
-                submissions, out, workers=workers, limits=limits, exam=exam
+                submissions, out, workers=workers, limits=limits, exam=exam, replace=replace
             )
             found = {f"{submission}": verified for submission, verified in each}
     made: set[str] = set()
 
     def one(submission: str) -> "Entry":
         verified = found.get(submission) or verification.verify(
-            Path(submission), out, workers=workers, limits=limits, taken=made, exam=exam
+            Path(submission),
+            out,
+            workers=workers,
+            limits=limits,
+            taken=made,
+            exam=exam,
+            replace=replace,
         )
         if isinstance(verified, CrowdbenchError):
             raise verified
@@ -88,6 +96,8 @@ def verify(
         made.add(entry.id)
         if ran.network != "none":
             print(f"crowdbench: network {ran.network}", file=sys.stderr)
+        if ran.files != "isolated":
+            print(f"crowdbench: files {ran.files}", file=sys.stderr)
         return entry
 
     in_turn([f"{submission}" for submission in submissions], one)

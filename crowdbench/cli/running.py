@@ -69,7 +69,7 @@ def _run(app: App, arguments: Sequence[str]) -> int:
     try:
         command, bound, _ = app.parse_args(arguments, print_error=False, exit_on_error=False)
     except CycloptsError as error:
-        print(f"{app.name[0]}: {_usage_error(app, error)}", file=sys.stderr)
+        print(_printable(f"{app.name[0]}: {_usage_error(app, error)}"), file=sys.stderr)
         return 2
     if command == app.help_print and not any(flag in arguments for flag in app.help_flags):
         command(bound.arguments["tokens"], console=app.error_console)  # no command was named
@@ -78,7 +78,7 @@ def _run(app: App, arguments: Sequence[str]) -> int:
         with stopping_in_order(), _engine_of(bound):
             command(*bound.args, **bound.kwargs)
     except CrowdbenchError as error:
-        print(f"crowdbench: {error}", file=sys.stderr)
+        print(_printable(f"crowdbench: {error}"), file=sys.stderr)
         return 2
     except Stopped as stopped:
         print("crowdbench: stopped", file=sys.stderr)
@@ -101,6 +101,11 @@ def _engine_of(bound: BoundArguments) -> AbstractContextManager[None]:
     from crowdbench.run.executor import engine
 
     return engine(name)
+
+
+def _printable(text: str) -> str:
+    """The text with control characters as escapes: names could move the cursor or clear lines."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def _usage_error(app: App, error: CycloptsError) -> str:

@@ -4,6 +4,8 @@ A file holds one flat table with a row per person and frame. The columns of a pe
 in each row, so that any tool can read the file without a join; Parquet compresses the repetition.
 """
 
+import hashlib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,6 +45,8 @@ class Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     frames: int
     observed: list[tuple[int, int]]
     provenance: dict[str, Any]
+    content: str = ""
+    """Hash of all else that is stated here and of the columns; older files have none."""
 
     def __post_init__(self) -> None:
         edges = np.array(self.observed).ravel()
@@ -63,12 +67,27 @@ def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     """
     from pyarrow import parquet
 
-    names = (name for name in Metadata.__struct_fields__ if name != "schema")
+    names = (name for name in Metadata.__struct_fields__ if name not in ("schema", "content"))
     stated = {"schema": SCHEMA} | {name: getattr(trajectories, name) for name in names}
-    encoded = msgspec.json.encode(stated, order="deterministic", enc_hook=np.ndarray.tolist)
-    table = _flat(trajectories).replace_schema_metadata({_KEY: encoded})
+    table = _flat(trajectories)
+    stated["content"] = _content(stated, table)
+    table = table.replace_schema_metadata({_KEY: _encoded(stated)})
     with replacing(Path(path)) as temporary:
         parquet.write_table(table, temporary, compression="zstd")
+
+
+def _encoded(stated: Mapping[str, object]) -> bytes:
+    return msgspec.json.encode(stated, order="deterministic", enc_hook=np.ndarray.tolist)
+
+
+def _content(stated: Mapping[str, object], table: "pyarrow.Table") -> str:
+    """Hash of what a file states and of its columns, by which damage is found."""
+    found = hashlib.blake2b(_encoded(stated), digest_size=16)
+    for name in table.column_names:
+        column = table.column(name).to_numpy()
+        found.update(f"{name} {column.dtype.str}".encode())
+        found.update(np.ascontiguousarray(column).data)
+    return found.hexdigest()
 
 
 def write_csv(trajectories: Trajectories, path: str | Path) -> None:
@@ -287,8 +306,17 @@ def own_metadata(table: "pyarrow.Table", path: Path) -> Metadata | None:
     if raw is None:
         return None
     try:
-        return msgspec.json.decode(raw, type=Metadata)
+        found = msgspec.json.decode(raw, type=Metadata)
     except (msgspec.DecodeError, RecursionError) as error:
         got = f"invalid metadata ({error})"
         hint = "Read it with the crowdbench version that wrote it."
         raise RecordingError(path, got=got, expected="crowdbench's metadata", hint=hint) from error
+    stated = {name: value for name, value in msgspec.json.decode(raw).items() if name != "content"}
+    if found.content and found.content != _content(stated, table):
+        raise RecordingError(
+            path,
+            got="a table or metadata that differ from what was written",
+            expected="the file as crowdbench wrote it",
+            hint="It is damaged or was edited. Make it again; an edited table is read as CSV.",
+        )
+    return found

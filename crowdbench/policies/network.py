@@ -26,6 +26,7 @@ from crowdbench.errors import SettingError, WeightsError, to_install
 from crowdbench.files import read_bytes
 from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
+from crowdbench.policies.onnx_runtime import LONGEST_S, CallLimit, runtime
 from crowdbench.policies.rows import ROWS, Watch, check_rows
 from crowdbench.scene import Scene
 from crowdbench.simulation.social import with_velocities_times
@@ -69,6 +70,7 @@ class OnnxPolicy:
         self.memory, self.style, self.interval = card.memory, card.style, card.interval
         self.deterministic = self.noise == self.style == 0
         self._watch = Watch(self.path)
+        self._limit = CallLimit()
         self._unit = 1.0
 
     def reset(self, scene: Scene, rng: Generator) -> None:
@@ -114,11 +116,28 @@ class OnnxPolicy:
         check_rows(where or self.path, self._run, random_inputs(self.card, self.noise, ROWS))
 
     def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A _"]:
-        try:
-            found = self._session.run(list(self.card.output_sizes), fed)
-        except Exception as error:  # onnxruntime's errors have no common base class
-            raise _unrunnable(self.path, error) from error
-        return np.concatenate(found, axis=1)
+        return np.concatenate(
+            _called(self.path, self._session, self.card, fed, self._limit), axis=1
+        )
+
+
+def _called(
+    path: Path, session: Any, card: PolicyCard, fed: dict[str, np.ndarray], limit: CallLimit
+) -> list[np.ndarray]:
+    """What a network returns.
+
+    Raises:
+        WeightsError: it cannot be run, or takes too long.
+    """
+    try:
+        with limit as options:
+            found: list[np.ndarray] = session.run(list(card.output_sizes), fed, options)
+    except Exception as error:  # onnxruntime's errors have no common base class
+        if not limit.exceeded:
+            raise _unrunnable(path, error) from error
+        got = f"no answer for {len(fed['observation'])} persons in {LONGEST_S:g} s"
+        raise _invalid(path, got, "a network that answers in milliseconds") from error
+    return found
 
 
 def random_inputs(
@@ -174,8 +193,7 @@ def _read_model(path: Path) -> tuple[bytes, "ModelProto"]:
 
 def _open(path: Path, kind: type[PolicyCard]) -> tuple[PolicyCard, int, Any]:
     data, model = _read_model(path)
-    import onnxruntime
-
+    onnxruntime = runtime()
     card = _card_of(path, model, kind)
     _check_operators(path, model)
     noise = _check_shapes(path, model, card)
@@ -303,7 +321,7 @@ def _describe(shapes: dict[str, Shape]) -> str:
 def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
     """Run the network for one and for three persons and check what it returns."""
     for persons in (1, 3):
-        answers = session.run(list(card.output_sizes), random_inputs(card, noise, persons))
+        answers = _called(path, session, card, random_inputs(card, noise, persons), CallLimit())
         for (name, size), answer in zip(card.output_sizes.items(), answers, strict=True):
             if answer.shape != (persons, size) or answer.dtype != np.float32:
                 raise _invalid(

@@ -1,4 +1,5 @@
 import inspect
+import json
 import os
 import pickle
 from dataclasses import replace
@@ -8,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from pyarrow import parquet
 from strategies import crowd_of, crowds, differences
 
@@ -169,6 +171,39 @@ def test_a_truncated_parquet_file_is_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(RecordingError, match="expected a readable table"):
         read_own(path)
+
+
+@given(crowds(), st.integers(0, 2**32), st.integers(0, 7))
+def test_a_flipped_bit_is_refused_or_changes_nothing(
+    folder: Path, crowd: Trajectories, where: int, bit: int
+) -> None:
+    path = folder / "flipped.parquet"
+    write_parquet(crowd, path)
+    data = bytearray(path.read_bytes())
+    data[where % len(data)] ^= 1 << bit
+    path.write_bytes(data)
+    try:
+        found = read_own(path)
+    except RecordingError:
+        return
+    assert differences(found, crowd) == []
+
+
+def test_an_edited_table_is_refused_and_one_without_a_hash_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "crowd.parquet"
+    write_parquet(crowd_of([(0, 3), (1, 4)]), path)
+    table = parquet.read_table(path)
+    moved = table.set_column(
+        table.column_names.index("x"), "x", pa.array(table["x"].to_numpy() + 1)
+    )
+    parquet.write_table(moved, path)
+    with pytest.raises(RecordingError, match="differ from what was written"):
+        read_own(path)
+    stated = json.loads(table.schema.metadata[b"crowdbench"])
+    del stated["content"]
+    older = moved.replace_schema_metadata({b"crowdbench": json.dumps(stated).encode()})
+    parquet.write_table(older, path)
+    assert len(read_own(path)) == 2
 
 
 def test_a_parquet_file_of_another_program_is_not_crowdbenchs_own(tmp_path):

@@ -5,15 +5,18 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import need
 
 from crowdbench.errors import CrowdbenchError
+from crowdbench.leaderboard.sandbox import isolation
 from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError, call
 from crowdbench.leaderboard.submission.errors import SubmissionError
+from crowdbench.leaderboard.verification.verify import _refuse_root
 from crowdbench.progress import heard_by
 from crowdbench.run import store
 
@@ -22,13 +25,37 @@ NARROW = Limits(
 )
 
 
+@pytest.fixture(autouse=True, params=["isolated", "plain"])
+def walls(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Behind bubblewrap, and as where there is none."""
+    if request.param == "isolated":
+        need(not isolation.lacking(), f"bubblewrap, which isolates ({isolation.lacking()})")
+    else:
+        monkeypatch.setattr(isolation, "lacking", lambda: "not asked for")
+    return str(request.param)
+
+
+@pytest.fixture
+def plain(walls: str) -> None:
+    """Only where processes of a child have the numbers that they have outside."""
+    if walls == "isolated":
+        pytest.skip("isolated processes have other numbers")
+
+
 @pytest.fixture(autouse=True)
 def found_by_children(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
 
 
-def tried(name: str, kind: type = object, limits: Limits = NARROW, **arguments: object) -> object:
-    return call(f"hostile:{name}", arguments, kind, where="mine", limits=limits)[0]
+def tried(
+    name: str,
+    kind: type = object,
+    limits: Limits = NARROW,
+    writes: Sequence[Path] = (),
+    **arguments: object,
+) -> object:
+    asked = f"hostile:{name}"
+    return call(asked, arguments, kind, where="mine", limits=limits, writes=writes)[0]
 
 
 def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
@@ -77,6 +104,7 @@ def test_what_breaks_a_limit_is_refused_by_name(
     assert time.monotonic() - began < 15
 
 
+@pytest.mark.usefixtures("plain")
 def test_who_left_the_session_is_ended_with_the_one_that_hangs(tmp_path: Path) -> None:
     note = tmp_path / "child"
     with pytest.raises(SandboxError, match="no end after"):
@@ -84,6 +112,7 @@ def test_who_left_the_session_is_ended_with_the_one_that_hangs(tmp_path: Path) -
     assert ended(int(note.read_text()))
 
 
+@pytest.mark.usefixtures("plain")
 def test_who_left_the_session_is_ended_with_the_one_that_answers(tmp_path: Path) -> None:
     note = tmp_path / "child"
     tried("outlive", note=str(note), hang_s=1)
@@ -91,12 +120,17 @@ def test_who_left_the_session_is_ended_with_the_one_that_answers(tmp_path: Path)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends children with their parents")
+@pytest.mark.usefixtures("plain")
 def test_it_ends_with_a_verifier_that_is_killed(tmp_path: Path) -> None:
     note = tmp_path / "child"
     verifying = (
         f"call('hostile:hang_by_name', {{'note': '{note}'}}, object, where='', limits=Limits())"
     )
-    script = f"from crowdbench.leaderboard.sandbox.parent import Limits, call; {verifying}"
+    plainly = (
+        "from crowdbench.leaderboard.sandbox import isolation; isolation.lacking = lambda: 'no'"
+    )
+    imported = "from crowdbench.leaderboard.sandbox.parent import Limits, call"
+    script = f"{plainly}; {imported}; {verifying}"
     with subprocess.Popen([sys.executable, "-c", script]) as verifier:
         soon = time.monotonic() + 30
         while not note.exists() and time.monotonic() < soon:
@@ -123,7 +157,8 @@ def alive(process: int) -> bool:
 
 
 def test_files_end_at_their_limit(tmp_path: Path) -> None:
-    assert tried("write_much", str, path=str(tmp_path / "much")) == "File too large"
+    path = str(tmp_path / "much")
+    assert tried("write_much", str, path=path, writes=[tmp_path]) == "File too large"
     assert (tmp_path / "much").stat().st_size == NARROW.file_bytes
 
 
@@ -143,6 +178,55 @@ def test_there_is_no_network_or_it_is_said_why(port: int) -> None:
         assert found != "reached"
     else:
         assert ran.network.startswith("not cut off: ")
+
+
+def test_isolated_children_see_none_of_the_users_files(walls: str, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("mine")
+    (tmp_path / "shared").mkdir()
+    seen = call(
+        "hostile:look",
+        {"path": str(tmp_path / "secret"), "home": str(Path.home())},
+        dict,
+        where="mine",
+        limits=NARROW,
+        reads=[tmp_path / "shared"],
+    )
+    if walls == "plain":
+        assert seen[0]["secret"] == "mine"
+        assert seen[1].files == "not isolated: not asked for"
+        return
+    assert seen[0] == {"secret": "No such file or directory", "home": [], "signal": "no process"}
+    assert seen[1].files == "isolated"
+
+
+def test_isolated_children_write_only_where_they_may(walls: str, tmp_path: Path) -> None:
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    other.mkdir()
+    tried("write_into", folders=[str(mine), str(other)], writes=[mine])
+    assert (mine / "file").read_text() == "written"
+    assert (other / "file").exists() == (walls == "plain")
+
+
+def test_an_isolated_child_that_forks_twice_is_ended(walls: str, tmp_path: Path) -> None:
+    if walls == "plain":
+        pytest.skip("without isolation, who leaves twice is not found")
+    beats = tmp_path / "beats"
+    tried("fork_twice", path=str(beats / "beat"), writes=[beats])
+    before = (beats / "beat").read_text()
+    time.sleep(0.5)
+    assert (beats / "beat").read_text() == before
+
+
+def test_root_judges_only_behind_walls(walls: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.delenv(isolation.AS_ROOT, raising=False)
+    if walls == "isolated":
+        _refuse_root(Path("mine"))
+        return
+    with pytest.raises(SandboxError, match="got the user root, without isolation"):
+        _refuse_root(Path("mine"))
+    monkeypatch.setenv(isolation.AS_ROOT, "1")
+    _refuse_root(Path("mine"))
 
 
 def test_keys_in_the_surroundings_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:

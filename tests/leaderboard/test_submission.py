@@ -256,6 +256,31 @@ def test_licences_are_spdx_expressions(licence: str, walker: Path) -> None:
     assert submission.declared.licence == licence
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("\u0430nticipate", "CYRILLIC SMALL LETTER A), which looks like an ASCII letter"),
+        ("\u03b1nticipate", "GREEK SMALL LETTER ALPHA), which looks like an ASCII letter"),
+        ("ant\u0131cipate", "LATIN SMALL LETTER DOTLESS I), which looks like an ASCII letter"),
+        ("anticipate (official)", "Leave out “official”"),
+        ("Verified walker", "Leave out “Verified”"),
+        ("replay", "expected a name of its own"),
+        ("Straight!", "the name of a reference"),
+    ],
+)
+def test_a_name_cannot_pass_for_another_one(name: str, said: str, walker: Path) -> None:
+    told = refusal(edit(walker, "A walker", name))
+    assert "submission.toml, name: got" in told
+    assert said in told
+
+
+@pytest.mark.parametrize(
+    "name", ["行人", "Müller’s walker", "cox-plans + anticipate", "Ångström 2"]
+)
+def test_other_names_stay_as_they_are(name: str, walker: Path) -> None:
+    assert read_submission(edit(walker, "A walker", name)).declared.name == name
+
+
 @pytest.mark.parametrize("name", ["Fußgänger", "行人", "नमस्ते", "Nguyễn Ệ", "שָׁלוֹם", "ฟ้า"])
 def test_names_are_of_any_script(name: str, walker: Path) -> None:
     submission = read_submission(edit(walker, "Ada Lovelace", name))

@@ -19,6 +19,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.exam import TRIALS
 from crowdbench.files import write_json
+from crowdbench.leaderboard.sandbox import isolation
 from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError
 from crowdbench.leaderboard.submission.errors import SubmissionError
 from crowdbench.leaderboard.submission.submission import Submission
@@ -287,12 +288,13 @@ def test_who_takes_too_long_is_refused_and_leaves_no_entry(tmp_path: Path) -> No
 def forge(entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let sandboxes answer with an entry."""
 
-    def run(desk: Path, *rest: object) -> dict[str, float]:
+    def run(walls: list[str], desk: Path, *rest: object) -> dict[str, float]:
         answer = {"network": "none", "value": entry}
         (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
         return {"wall_s": 1.0, "cpu_s": 1.0, "peak_bytes": 1}
 
     monkeypatch.setattr("crowdbench.leaderboard.sandbox.parent._run", run)
+    monkeypatch.setattr(isolation, "lacking", lambda: "nothing is run")
 
 
 @pytest.mark.parametrize("name", ["../elsewhere", "else\n", "e" * 61])
@@ -345,6 +347,22 @@ def test_an_entry_by_others_is_not_overwritten(walked: tuple[Path, Entry], tmp_p
     with pytest.raises(CrowdbenchError, match=r"another submission by A\. Person"):
         verify(other, walked[0] / "out", workers=1)
     assert (walked[0] / "out" / "mine-v2.json.gz").read_bytes() == before
+
+
+def test_an_entry_is_overwritten_only_if_that_is_asked_for(
+    walked: tuple[Path, Entry], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(walked[0] / "out", tmp_path / "out")
+    before = (tmp_path / "out" / "mine-v2.json.gz").read_bytes()
+    asked = ["leaderboard", "verify", str(walked[0] / "mine"), "--out", str(tmp_path / "out")]
+    assert main([*asked, "--workers", "1"]) == 2
+    said = capsys.readouterr().err
+    assert "got the id mine-v2, which has an entry already" in said
+    assert "`--replace`" in said
+    (tmp_path / "out" / "mine-v2.run.json").unlink()
+    assert main([*asked, "--workers", "1", "--replace"]) == 0
+    assert (tmp_path / "out" / "mine-v2.json.gz").read_bytes() == before
+    assert (tmp_path / "out" / "mine-v2.run.json").exists()
 
 
 @pytest.fixture

@@ -135,7 +135,7 @@ def load_imported(name: str) -> Trajectories:
 
     Raises:
         SettingError: there is no recording of that name.
-        RecordingError: it has not been imported.
+        RecordingError: it has not been imported, or its file is damaged or that of another one.
     """
     path = cached(name)
     if not (OWN_NAME.fullmatch(name) and path.exists()):
@@ -148,7 +148,15 @@ def load_imported(name: str) -> Trajectories:
             hint=f"Run `crowdbench data fetch {name}`, or "
             f"`crowdbench data import {name} --source DIR`.",
         )
-    return storage.read_own(path)
+    crowd = storage.read_own(path)
+    if crowd.scene != name:
+        raise RecordingError(
+            path,
+            got=f"the recording {crowd.scene}",
+            expected=f"the recording {name}",
+            hint=f"Import it again: `crowdbench data import {name}`.",
+        )
+    return crowd
 
 
 def remove_imported(name: str) -> Path:

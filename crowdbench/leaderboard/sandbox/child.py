@@ -27,8 +27,10 @@ def main(arguments: Sequence[str]) -> None:
     """Set the limits, call the function and write the answer."""
     desk = Path(arguments[0])
     asked = json.loads((desk / "asked.json").read_text())
-    network = _leave_network()
-    end_with(int(asked["parent"]))  # after the namespace: new credentials reset this setting
+    network = "none"  # bubblewrap has left it
+    if parent := int(asked["parent"]):
+        network = _leave_network()
+        end_with(parent)  # after the namespace: new credentials reset this setting
     _limit(Limits(**asked["limits"]))
     answer: dict[str, object] = {"network": network}
     try:

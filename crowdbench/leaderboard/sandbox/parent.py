@@ -1,6 +1,7 @@
 """Call a function in a child process with limits on memory, time and files, and without network.
 
-The child is a new interpreter in its own session. First it leaves the network and sets its limits
+The child is a new interpreter in its own session, isolated by bubblewrap where that is installed
+(`crowdbench.leaderboard.sandbox.isolation`). First it leaves the network and sets its limits
 (`crowdbench.leaderboard.sandbox.child`). The parent watches the memory and the number of all its
 processes, and kills them together. The answer is JSON, so nothing from a child is executed. Files
 of a child are read only if they are regular files, and only up to a fixed size.
@@ -14,7 +15,7 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ import psutil
 
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import temporary_folder
+from crowdbench.leaderboard.sandbox import isolation
 from crowdbench.progress import ROLLOUTS
 
 Result = TypeVar("Result")
@@ -71,6 +73,8 @@ class ResourceUsage:
     """Largest observed resident memory of all its processes together."""
     network: str
     """`none`, or why the network could not be cut off."""
+    files: str
+    """`isolated`, or why the child could read the user's files."""
 
 
 ErrorParts = tuple[str, str, str, str]
@@ -92,12 +96,20 @@ class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 def call(
-    target: str, arguments: dict[str, object], kind: type[Result], *, where: object, limits: Limits
+    target: str,
+    arguments: dict[str, object],
+    kind: type[Result],
+    *,
+    where: object,
+    limits: Limits,
+    reads: Sequence[Path] = (),
+    writes: Sequence[Path] = (),
 ) -> tuple[Result, ResourceUsage]:
     """Call `module:function(**arguments)` in a child process.
 
     Arguments and result are passed as JSON. The progress of the child's rollouts is reported here,
-    see `crowdbench.progress`. `where` names the source in messages.
+    see `crowdbench.progress`. `where` names the source in messages. An isolated child sees `reads`
+    and the folders `writes` of the user's files.
 
     Returns:
         The function's result, decoded as `kind`, and the resources that the child used.
@@ -114,15 +126,17 @@ def call(
         expected = "Linux or macOS: the sandbox uses process groups and resource limits of POSIX"
         hint = "On Windows, use the Windows Subsystem for Linux (WSL)."
         raise SandboxError(where, got=f"the platform {sys.platform}", expected=expected, hint=hint)
+    lacking = isolation.lacking()
     with temporary_folder("sandbox") as desk:
         asked = {
             "target": target,
             "arguments": arguments,
             "limits": asdict(limits),
-            "parent": os.getpid(),
+            "parent": os.getpid() if lacking else 0,
         }
         (desk / "asked.json").write_text(json.dumps(asked))
-        ran = _run(desk, where, limits)
+        walls = [] if lacking else isolation.command(desk, reads, writes)
+        ran = _run(walls, desk, where, limits)
         try:
             found = _beginning(desk / "answer.json", LARGEST_ANSWER)
             answer = msgspec.json.decode(found, type=Answer)
@@ -138,16 +152,17 @@ def call(
             raise SandboxError(
                 where, got=f"an answer that cannot be read ({error})", expected=kind.__name__
             ) from error
-    return value, ResourceUsage(**ran, network=plain(answer.network))
+    files = f"not isolated: {lacking}" if lacking else "isolated"
+    return value, ResourceUsage(**ran, network=plain(answer.network), files=files)
 
 
-def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:
-    """Start the child, watch it, and kill what it has started; returns what it used."""
+def _run(walls: list[str], desk: Path, where: object, limits: Limits) -> dict[str, Any]:
+    """Start the child behind `walls`, watch it, and kill what it has started; returns its usage."""
     began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
     ever: set[psutil.Process] = set()
     with (desk / "said.txt").open("w+b") as said:
         child = subprocess.Popen(
-            [sys.executable, "-m", "crowdbench.leaderboard.sandbox.child", str(desk)],
+            [*walls, sys.executable, "-m", "crowdbench.leaderboard.sandbox.child", str(desk)],
             stdin=subprocess.DEVNULL,
             stdout=said,
             stderr=said,
@@ -251,10 +266,11 @@ def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:
 
 def _died(code: int, limits: Limits) -> str:
     """How the child failed, in words; empty if it ended normally."""
-    if code == -signal.SIGXCPU:
+    number = code - 128 if code > 128 else -code  # bubblewrap tells signals as shells do
+    if number == signal.SIGXCPU:
         return f"more than {limits.cpu_s} s of CPU time"
-    if code < 0:
-        return f"a crash ({signal.Signals(-code).name})"
+    if number in {*signal.Signals} and (code < 0 or code > 128):
+        return f"a crash ({signal.Signals(number).name})"
     return "" if code == 0 else f"exit code {code}"
 
 

@@ -43,6 +43,8 @@ _UNSEEN = re.compile(
     "\U000e0100-\U000e01ef]"
 )
 """Printable but invisible characters: fillers, blanks and variation selectors."""
+_CLAIMS = re.compile(r"\b(official|verified|certified|ranked)\b", re.IGNORECASE)
+"""Words by which a name would claim to be what only verification can say."""
 _MOST_MARKS = 4  # combining marks on one letter; more of them would overlap the lines above
 # They replace invalid fields that are only displayed, so that the artefacts are checked as well.
 _STAND_INS = {
@@ -151,11 +153,31 @@ def _hint(name: str, value: Any, kind: Any) -> str | None:
             return "Remove invisible characters and stacked combining marks."
         if not text.strip() and not name.startswith("shipped_"):
             return "Enter a text that is not blank."
+        if name == "name" and (alike := _look_alikes(text)):
+            return (
+                f"Replace {alike[0]!r} ({unicodedata.name(alike[0], 'no letter')}), which looks "
+                "like an ASCII letter or digit."
+            )
+        if name == "name" and (claim := _CLAIMS.search(text)):
+            return f"Leave out “{claim[0]}”: only the leaderboard says what an entry is."
     if name == "scenes" and (set(value) - set(list_scenes()) or len(set(value)) < len(value)):
         return "`crowdbench scene list` lists all scenes."
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):
         return "Contribute a new family of spawn models with its code, in a pull request."
     return None
+
+
+def _look_alikes(text: str) -> list[str]:
+    """The characters of a text that look like an ASCII letter or digit, but are none."""
+    from confusable_homoglyphs import confusables
+
+    others = [c for c in text if not c.isascii()]
+    found = confusables.is_confusable("".join(others), greedy=True, preferred_aliases=[]) or []
+    return [
+        each["character"]
+        for each in found
+        if any(like["c"].isascii() and like["c"].isalnum() for like in each["homoglyphs"])
+    ]
 
 
 def _most_marks(text: str) -> int:

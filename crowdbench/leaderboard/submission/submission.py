@@ -18,6 +18,8 @@ from crowdbench.leaderboard.verification.entry import Status
 
 LIMITS = Limits(memory_bytes=6 * 2**30, wall_s=600.0, cpu_s=600)
 """Limits of a check. Reading thirty rollouts of Grand Central takes a minute."""
+RESERVED = ("replay", "block-replay", "random", "straight", "poisson-gmm", "poisson-gmm-straight")
+"""Ids of the references. Only they may have them."""
 _LONGEST_ID = 60
 _COPYING_MODELS = ("replay", "block-replay")
 _UNFITTED_POLICIES = ("replay", "random")
@@ -95,7 +97,8 @@ def check(folder: Path, limits: Limits = LIMITS) -> Submission:
         SandboxError: the check crashed or exceeded a limit.
     """
     target = f"{__name__}:read_submission"
-    return call(target, {"path": f"{folder}"}, Submission, where=folder, limits=limits)[0]
+    asked: dict[str, object] = {"path": f"{folder}"}
+    return call(target, asked, Submission, where=folder, limits=limits, reads=[folder])[0]
 
 
 def read_submission(path: Path | str) -> Submission:
@@ -118,7 +121,15 @@ def read_submission(path: Path | str) -> Submission:
             if not problems:
                 files = {name: folder / name for name in names} | shipped_files(declared)
                 hashes = {name: sha256(file.read_bytes()) for name, file in files.items()}
-                return Submission(f"{folder}", declared, layout, hashes)
+                found = Submission(f"{folder}", declared, layout, hashes)
+                if found.id not in RESERVED or found.status == "reference":
+                    return found
+                problems.refuse(
+                    f"{FILE}, name",
+                    got=f"{declared.name!r}, the name of a reference",
+                    expected="a name of its own",
+                    hint="Choose another name.",
+                )
     except OSError as error:
         problems = Problems()
         got = f"{error.filename}: {error.strerror}"

@@ -255,16 +255,31 @@ def owners_of(out: Path) -> dict[str, Sequence[str]]:
 
 
 def check_unused(
-    submission: object, name: str, authors: Sequence[str], owners: Mapping[str, Sequence[str]]
+    submission: object,
+    name: str,
+    authors: Sequence[str],
+    owners: Mapping[str, Sequence[str]],
+    *,
+    replace: bool = False,
 ) -> None:
-    """Check that an entry would not overwrite that of another submission.
+    """Check that an entry would not overwrite another one.
 
-    `owners` are the authors of other entries by id.
+    `owners` are the authors of other entries by id. With `replace`, an entry of the same authors
+    may be overwritten.
 
     Raises:
-        OutputError: the id belongs to an entry of other authors.
+        OutputError: the id belongs to an entry of other authors, or `replace` is needed.
     """
-    owner = owners.get(name, authors)
+    owner = owners.get(name)
+    if owner is None:
+        return
+    if not replace and list(owner) == list(authors):
+        raise OutputError(
+            submission,
+            got=f"the id {name}, which has an entry already",
+            expected="an unused id",
+            hint="Choose another output folder, or replace that entry with `--replace`.",
+        )
     if list(owner) != list(authors):
         by = f" by {plain(', '.join(owner))}" if owner else ""
         raise OutputError(

@@ -41,12 +41,14 @@ def make_entry(
     rollouts: int | None = None,
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
     examine: bool = False,
+    replace_entry: bool = False,
     known: Mapping[str, tuple[SceneEntry, Sequence[Flag]]] = MappingProxyType({}),
 ) -> Entry:
     """Roll out a submission, score it and return its entry.
 
     `rollouts` is the number per split, by default that of the scene's protocol. `owners` are the
-    authors of other entries by id, see `check_unused`. `examine` puts the policy through the exam.
+    authors of other entries by id, and `replace_entry` is `replace` of `check_unused`. `examine`
+    puts the policy through the exam.
     `known` are results by scene, which are not made again, with their flags.
 
     Raises:
@@ -55,7 +57,8 @@ def make_entry(
         RecordingError: a scene's recording is missing.
     """
     given = read_submission(Path(submission))
-    check_unused(submission, given.id, given.declared.authors, owners)
+    authors = given.declared.authors
+    check_unused(submission, given.id, authors, owners, replace=replace_entry)
     folder = Path(work).resolve() / given.id
     scenes: dict[str, SceneEntry] = {}
     flags: list[Flag] = []

@@ -3,6 +3,7 @@
 The work is done in child processes with limits, and their answers are validated.
 """
 
+import os
 import platform
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ import numpy as np
 from crowdbench import __version__
 from crowdbench.errors import CrowdbenchError, OutputError, WeightsError
 from crowdbench.files import write_json
+from crowdbench.leaderboard.sandbox import isolation
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
 from crowdbench.leaderboard.verification.entry import Entry, check_unused, entry_path, owners_of
 from crowdbench.leaderboard.verification.soundness import check_entry
@@ -33,12 +35,14 @@ def verify(
     limits: Limits = DEFAULT,
     taken: Collection[str] = (),
     exam: bool = False,
+    replace: bool = False,
 ) -> Verified:
     """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
 
     The same submission gives the same bytes in `ID.json.gz`; time, memory and machine are in
     `ID.run.json`. Rollouts stay in `out/work/ID`, so that an interrupted verification can be
-    continued. `taken` are the ids of other submissions. With `exam`, the policy is examined.
+    continued. `taken` are the ids of other submissions. With `exam`, the policy is examined. With
+    `replace`, an entry with that id by the same authors is overwritten.
 
     Returns:
         The entry, and the resources that the child process used.
@@ -47,12 +51,14 @@ def verify(
         SubmissionError: the submission is invalid; the error lists all its problems.
         OutputError: `out` cannot be written.
         SandboxError: the child process crashed or exceeded a limit.
-        CrowdbenchError: the id is taken, `out` contains an entry with that id by other authors, or
-            something it needs, such as a recording, is missing.
+        CrowdbenchError: the id is taken, `out` contains an entry with that id, or something it
+            needs, such as a recording, is missing.
     """
     owners = owners_of(out) | {name: [] for name in taken}
-    verified = entry_of(submission, out / "work", workers, limits, owners, exam=exam)
-    _write(submission, out, verified, owners)
+    verified = entry_of(
+        submission, out / "work", workers, limits, owners, exam=exam, replace=replace
+    )
+    _write(submission, out, verified, owners, replace=replace)
     return verified
 
 
@@ -63,10 +69,12 @@ def verify_each(
     workers: int | None = None,
     limits: Limits = DEFAULT,
     exam: bool = False,
+    replace: bool = False,
 ) -> Iterator[tuple[Path, Verified | CrowdbenchError]]:
     """Verify submissions on the engine of `run.executor`, each by one process and in a sandbox.
 
-    `workers` is the number of submissions at a time. Rollouts are not kept.
+    `workers` is the number of submissions at a time. Rollouts are not kept. With `replace`, entries
+    of the same authors are overwritten.
 
     Yields:
         Each submission with its entry and resources, or with what is wrong with it.
@@ -76,13 +84,14 @@ def verify_each(
         WorkerError: a process of the cluster died.
     """
     owners = owners_of(out)
-    tasks = [(path.name, _files(path), limits, dict(owners), exam) for path in submissions]
+    settings = (limits, dict(owners), exam, replace)
+    tasks = [(path.name, _files(path), *settings) for path in submissions]
     tell("submissions", 0, len(tasks))
     found = call_each(_verified, tasks, checked_workers(workers), name=lambda name, *rest: name)
     for done, (k, verified) in enumerate(found, 1):
         if not isinstance(verified, CrowdbenchError):
             try:
-                _write(submissions[k], out, verified, owners)
+                _write(submissions[k], out, verified, owners, replace=replace)
                 owners[verified[0].id] = []
             except CrowdbenchError as error:
                 verified = error
@@ -96,6 +105,7 @@ def _verified(
     limits: Limits,
     owners: Mapping[str, Sequence[str]],
     exam: bool,
+    replace: bool,
 ) -> Verified | CrowdbenchError:
     with tempfile.TemporaryDirectory(prefix="crowdbench-verify-") as folder:
         submission = Path(folder) / "submission" / name
@@ -103,7 +113,8 @@ def _verified(
             (submission / path).parent.mkdir(parents=True, exist_ok=True)
             (submission / path).write_bytes(data)
         try:
-            return entry_of(submission, Path(folder) / "work", 1, limits, owners, exam=exam)
+            work = Path(folder) / "work"
+            return entry_of(submission, work, 1, limits, owners, exam=exam, replace=replace)
         except CrowdbenchError as error:
             return error
 
@@ -136,12 +147,14 @@ def entry_of(
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
     *,
     exam: bool = False,
+    replace: bool = False,
 ) -> Verified:
     """Verify a submission in a child process; return its entry and the resources used.
 
-    `owners` are the authors of other entries by id, see `check_unused`. With `exam`, its policy is
-    put through the exam.
+    `owners` are the authors of other entries by id, see `check_unused` for them and `replace`. With
+    `exam`, its policy is put through the exam.
     """
+    _refuse_root(submission)
     entry, ran = call(
         "crowdbench.leaderboard.verification.make_entry:make_entry",
         {
@@ -150,10 +163,13 @@ def entry_of(
             "workers": workers,
             "owners": dict(owners),
             "examine": exam,
+            "replace_entry": replace,
         },
         Entry,
         where=submission,
         limits=limits,
+        reads=[submission],
+        writes=[work],
     )
     try:
         check_entry(entry, submission)
@@ -164,12 +180,31 @@ def entry_of(
     return entry, ran
 
 
+def _refuse_root(submission: Path) -> None:
+    """Refuse to run what strangers sent as root without isolation: it could change anything."""
+    if os.name != "posix" or os.geteuid() != 0 or not (why := isolation.lacking()):
+        return
+    if os.environ.get(isolation.AS_ROOT) != "1":
+        raise SandboxError(
+            submission,
+            got=f"the user root, without isolation ({why})",
+            expected="another user, or bubblewrap",
+            hint="Install bubblewrap, or run as another user. In a container that holds nothing "
+            f"else, set {isolation.AS_ROOT}=1.",
+        )
+
+
 def _write(
-    submission: Path, out: Path, verified: Verified, owners: Mapping[str, Sequence[str]]
+    submission: Path,
+    out: Path,
+    verified: Verified,
+    owners: Mapping[str, Sequence[str]],
+    *,
+    replace: bool,
 ) -> None:
     """Write an entry. The child has checked its id before the first rollout, but is not trusted."""
     entry, ran = verified
-    check_unused(submission, entry.id, entry.declared.authors, owners)
+    check_unused(submission, entry.id, entry.declared.authors, owners, replace=replace)
     write_json(entry_path(out, entry.id), entry)
     write_run(out / f"{entry.id}.run.json", ran)
 

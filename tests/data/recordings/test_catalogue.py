@@ -14,6 +14,7 @@ from crowdbench.data.recordings.catalogue import (
 )
 from crowdbench.data.recordings.describe import describe
 from crowdbench.data.recordings.timing import observed_intervals
+from crowdbench.data.storage import write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.scene import load_scene
@@ -147,6 +148,12 @@ def test_a_recording_that_was_not_imported_says_how_to(home):
     assert str(home) in caught.value.expected
     assert "`crowdbench data fetch eth`" in caught.value.hint
     assert "`crowdbench data import eth --source DIR`" in caught.value.hint
+
+
+def test_a_recording_in_the_place_of_another_one_is_refused():
+    write_parquet(replace(crowd_of([(0, 3), (1, 2)]), scene="hotel"), cached("eth"))
+    with pytest.raises(RecordingError, match="got the recording hotel; expected the recording eth"):
+        load_imported("eth")
 
 
 @pytest.mark.parametrize("use", [import_recording, load_imported])
