@@ -1,6 +1,5 @@
 """`crowdbench spawn`: spawn areas, samples, tests and scenarios of spawn models."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,22 +81,23 @@ def sample(
         horizon_s: length in seconds (default: that of the recording)
     """
     from crowdbench.registry import GENERATED
-    from crowdbench.run.episode import arrivals
+    from crowdbench.run.episode import arrivals, check_horizon
     from crowdbench.spawn.export import write_arrivals
+    from crowdbench.spawn.perturbed_replay import replays
     from crowdbench.spawn.steering.scenario import split_scenario
 
     find_own_code()
     place = crowdbench.load_scene(scene)
     if seed < 0:
         raise SettingError("--seed", got=f"{seed}", expected="0 or more")
-    if horizon_s is not None and not 0 < horizon_s < math.inf:
-        raise SettingError("--horizon-s", got=f"{horizon_s:g}", expected="a number above 0")
+    if horizon_s is not None:
+        check_horizon(horizon_s)
     made = crowdbench.spawn_model(model, place)
     frames = place.recording.frames if horizon_s is None else place.frames(horizon_s)
     events = arrivals(made, place, seed=seed, world=0, warm_up=0, frames=frames)
     write_arrivals(events, place, out, frames=frames)
     print(f"written to {out}: {len(events)} people of {made.name}, {frames * place.dt_s:g} s")
-    copied = split_scenario(model)[0] in ("replay", "block-replay")
+    copied = replays(model) or split_scenario(model)[0] == "block-replay"
     if copied and place.recording.name not in GENERATED:
         print_note("The recording remains subject to its owners' terms: do not publish this file.")
 

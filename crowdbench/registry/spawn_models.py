@@ -12,6 +12,8 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.fits import check_split
+from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+from crowdbench.spawn.perturbed_replay import with_key
 from crowdbench.spawn.plans.files import FILE as PLANS
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario
@@ -31,9 +33,10 @@ WEIGHTS = {f"{name}.safetensors" if name in _NETWORKS else f"{name}.json": name 
 """File name of the fits of each spawn model in `FITTED`."""
 PLANNED = {"poisson-plans": "poisson-groups", "ntpp-plans": "ntpp-gmm", "cox-plans": "cox-gmm"}
 """Models of plans, and the model in `FITTED` that their times are from."""
-_PLAYED: dict[str, type[spawn.BlockReplay | spawn.Replay]] = {
+_PLAYED: dict[str, type[spawn.BlockReplay | spawn.PerturbedReplay | spawn.Replay]] = {
     "block-replay": spawn.BlockReplay,
     "replay": spawn.Replay,
+    PERTURBED: spawn.PerturbedReplay,
 }
 SPAWN_MODELS = (*FITTED, *PLANNED, *_PLAYED)
 DEFAULT_SPAWN = "ntpp-gmm"
@@ -72,7 +75,7 @@ class SpawnSource:
         files = (folder / "areas.json", *scenario)
         modules = (spawn.Steered.__module__,) * len(scenario)
         if self.fits is None:
-            modules += (_PLAYED[self.base].__module__,)
+            modules += (_PLAYED[self.base.partition(":")[0]].__module__,)
             return Dependencies(self.base, modules, files, recording=True)
         times = WEIGHTS[self.fits.name]
         modules += (FITTED[times].__module__,)
@@ -101,6 +104,8 @@ class SpawnSource:
         crowd = recording_of(scene)
         if self.base == "replay":
             return spawn.Replay(crowd)
+        if (key := with_key(self.base)) is not None:
+            return spawn.PerturbedReplay(crowd, key)
         return spawn.BlockReplay(crowd, blocks_of(crowd, scene).training(split), read_areas(scene))
 
 
@@ -114,7 +119,7 @@ def spawn_source(name: str, scene: Scene) -> SpawnSource:
     plugins.names("spawn_models", SPAWN_MODELS)  # raises an error if a built-in name was registered
     base, scenario = split_scenario(name)
     fits = _fits_of(base, scene)
-    own = fits is None and base not in SPAWN_MODELS
+    own = fits is None and base not in SPAWN_MODELS and with_key(base) is None
     return SpawnSource(name, scene, base, scenario, fits, own)
 
 
@@ -131,7 +136,8 @@ def spawn_model(
         model: a name; a folder with the fits of one model of `FITTED`, in a file named as in
             `WEIGHTS`; `pkg.module:Class`, which is called with the scene, and with `split` and
             `fit` if it takes arguments of these names; `MODEL+FILE.toml`, the model MODEL steered
-            by the scenario in the file; or a spawn model.
+            by the scenario in the file; `perturbed-replay:KEY`, with other draws for each key; or
+            a spawn model.
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
         split: one of `blocks.SPLITS`. `replay` is the whole recording in every split.
         fit: index of the fit, modulo the number of fits.

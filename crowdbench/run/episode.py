@@ -21,6 +21,8 @@ from crowdbench.spawn.model import Start
 
 PURPOSES = ("spawn", "policy", "warm-up")
 WARM_UP_S = 60.0
+LONGEST_S = 1e7
+"""Longest episode, four months: longer ones exceed memory."""
 LEAST_SLOTS = Settings.max_alive
 
 
@@ -292,10 +294,11 @@ def check_horizon(horizon_s: float) -> None:
     """Check the length of an episode.
 
     Raises:
-        SettingError: it is not a positive, finite number of seconds.
+        SettingError: it is not a positive number of seconds, or more than `LONGEST_S`.
     """
-    if not (np.isfinite(horizon_s) and horizon_s > 0):
-        raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")
+    if not 0 < horizon_s <= LONGEST_S:
+        expected = f"a positive number of seconds, at most {LONGEST_S:g}"
+        raise SettingError("horizon_s", got=str(horizon_s), expected=expected)
 
 
 def check_capacity(simulation: Simulation) -> None:

@@ -21,6 +21,7 @@ from crowdbench.run.processes import LOCAL, end_with, outcome_of, result_of
 
 Result = TypeVar("Result")
 
+MOST_WORKERS = 10_000
 ALONE_S = 3.0
 """Seconds after which the first worker process gets help: twice what it needs to start."""
 _THREADS = (
@@ -70,10 +71,10 @@ def checked_workers(asked: int | None) -> int:
     """The number of processes: `asked`, or one per core if it is None.
 
     Raises:
-        SettingError: `asked` is less than 1.
+        SettingError: `asked` is less than 1, or more than `MOST_WORKERS`.
     """
-    if asked is not None and asked < 1:
-        raise SettingError("workers", got=str(asked), expected="1 or more")
+    if asked is not None and not 1 <= asked <= MOST_WORKERS:
+        raise SettingError("workers", got=str(asked), expected=f"1 to {MOST_WORKERS:,}")
     return asked or (os.cpu_count() or 1 if is_local() else ray_executor.cpus())
 
 

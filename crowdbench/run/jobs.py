@@ -19,10 +19,15 @@ from crowdbench.policies import OnnxPolicy, Policy
 from crowdbench.run.resolved import Resolved
 from crowdbench.run.rollout import alike, batchable
 from crowdbench.scene import Scene
+from crowdbench.spawn.perturbed_replay import replays
 
 Pair = tuple[str, str]
 Models = tuple[str, str, str, str]
 """Names of a scene, spawn model and policy, and the fingerprint of their rollouts."""
+MOST = 10_000
+"""Largest number of rollouts of a pair and split."""
+DRAWS = 6
+"""Number of rollouts of a policy without random draws under perturbed arrivals."""
 BATCH = 10
 """Maximum number of rollouts that are made at once."""
 
@@ -68,25 +73,26 @@ def plan(
 
     `seeds` is their number per pair and split. Under the recorded arrivals there are at most
     `walk_rollouts` of the scene's protocol, and one for a policy without random draws: everyone
-    enters as recorded, nothing is fitted, and rollouts differ little.
+    enters as recorded, nothing is fitted, and rollouts differ little. Under perturbed arrivals such
+    a policy has up to `DRAWS`.
 
     Raises:
         SettingError: a name is unknown, or `seeds` is not a valid number of rollouts.
         WeightsError: the action of one person in a network depends on other persons' rows.
     """
     fits = place.protocol.fits
-    if seeds < 1 or (seeds >= 2 * fits and seeds % fits):
+    if not 1 <= seeds <= MOST or (seeds >= 2 * fits and seeds % fits):
         raise SettingError(
             "seeds",
             got=str(seeds),
-            expected=f"a multiple of {fits}, so that all fits have the same number of rollouts, or "
-            f"1 to {2 * fits - 1} for distances without scores",
+            expected=f"a multiple of {fits} up to {MOST:,}, so that all fits have the same number "
+            f"of rollouts, or 1 to {2 * fits - 1} for distances without scores",
         )
     jobs = []
     tried: set[Path] = set()
     for s, p in pairs:
         pair = Resolved.of(place, s, p)
-        recorded = s == "replay"
+        recorded = replays(s)
         for split in _splits(pair, protocol, recorded=recorded):
             walkers = walkers_of(pair, split)
             for fold, walker in walkers.items():
@@ -99,7 +105,7 @@ def plan(
             fingerprint = pair.fingerprint(split)
             number = min(seeds, place.protocol.walk_rollouts) if recorded else seeds
             if recorded and getattr(walker, "deterministic", False):
-                number = 1
+                number = 1 if s == "replay" else min(seeds, DRAWS)
             size = BATCH if batchable(walker) else 1
             exact = size == 1 or walker.sees == "state"
             for seed in range(number):

@@ -36,6 +36,7 @@ from crowdbench.scoring.scorecard import (
     read_anchors,
 )
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.perturbed_replay import replays
 
 FINISHED = (OUTCOMES.index("goal"), OUTCOMES.index("exit"), OUTCOMES.index("timeout"))
 TRAJECTORIES = "trajectories"
@@ -294,7 +295,7 @@ def _metric_card(
     energies: bool,
 ) -> MetricCard:
     results, each = [], []
-    recorded_arrivals = next(iter(rolled)).spawn == "replay"
+    recorded_arrivals = replays(next(iter(rolled)).spawn)
     for seen in seen_in(reference, metric, rolled, protocol):
         results += [metric.compare(seen.recorded, crowd, seen.blocks) for crowd in seen.crowds]
         if (energies and (metric.family not in WALK or recorded_arrivals)) and (

@@ -21,7 +21,10 @@ MAKES_ROLLOUTS = (
 """Modules that every rollout runs. Those of its own spawn model and policy are added."""
 MODELS = (
     *(f"crowdbench.spawn.{name}" for name in ("block_replay", "ntpp", "paper", "plans", "plaza")),
-    *(f"crowdbench.spawn.{name}" for name in ("replay", "steering.steered", "times")),
+    *(
+        f"crowdbench.spawn.{name}"
+        for name in ("perturbed_replay", "replay", "steering.steered", "times")
+    ),
     *(f"crowdbench.policies.{name}" for name in ("network", "social_force", "speed_model")),
     "crowdbench.policies.walkers",
 )

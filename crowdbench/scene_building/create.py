@@ -71,8 +71,8 @@ class NewScene:
             ("--fits", self.fits, 1),
             ("--rollouts-per-fit", self.rollouts_per_fit, 2),
         ):
-            if value is not None and value < least:
-                raise SettingError(name, got=str(value), expected=f"{least} or more")
+            if value is not None and not least <= value <= fit.MOST_FITS:
+                raise SettingError(name, got=str(value), expected=f"{least} to {fit.MOST_FITS}")
 
     @property
     def place(self) -> Path:

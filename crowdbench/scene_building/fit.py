@@ -31,6 +31,8 @@ from crowdbench.spawn.plans.links import Adjustment
 
 MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
 """Models that are fitted by default: all but those of the founding paper."""
+MOST_FITS = 100
+"""Largest number of fits of a model, and of rollouts of each."""
 NEURAL = {
     "ntpp-gmm": "crowdbench.spawn.ntpp.training",
     "ntpp-paper": "crowdbench.spawn.paper.training",
@@ -85,8 +87,8 @@ def fit_scene(
     named = MODELS if models is None else models
     settings = _all_settings(named, training or {})
     fits = scene.protocol.fits if fits is None else fits
-    if fits < 1:
-        raise SettingError("fits", got=str(fits), expected="1 or more")
+    if not 1 <= fits <= MOST_FITS:
+        raise SettingError("fits", got=str(fits), expected=f"1 to {MOST_FITS}")
     check_against(scene, recording)
     place = replace(scene, folder=out or scene.folder)
     try:  # before the fits, which take minutes

@@ -18,6 +18,7 @@ from crowdbench.scoring.score import (
     score_of,
     walk_score,
 )
+from crowdbench.spawn.perturbed_replay import replays
 from crowdbench.spawn.steering.scenario import split_scenario
 
 RankedBy = Literal["walk", "overall", "crowd"]
@@ -87,13 +88,15 @@ def rows(card: scorecard.Scorecard) -> list[Row]:
     """The table of a scorecard: its entries in their order, then the baselines.
 
     The scores of motion and interaction are those of the policy under the recorded arrivals
-    (spawn model `replay`). They apply to all entries with the same policy.
+    (spawn model `replay`), and apply to all crowds with the same policy. Under perturbed arrivals
+    they are those of the entry itself.
     """
     scale, recorded = scale_of(card), scorecard.has_recorded_arrivals(card)
 
     def row(entry: scorecard.PairResult, kind: Literal["entry", "baseline"]) -> Row:
         # The walk scores of baselines are shipped; those of entries need the imported recording.
         walker = walker_of(card, entry.policy) if kind == "baseline" or recorded else None
+        walker = entry if replays(entry.spawn) else walker
         scores = metric_scores(scale, entry)
         if walker is not None:
             walked = metric_scores(scale, walker)
@@ -153,13 +156,13 @@ def may_rank(spawn: str) -> bool:
     Replayed recordings are not ranked, because they memorise the recording. Models under a
     scenario are not ranked, because they are meant to differ from it.
     """
-    return spawn not in ("replay", "block-replay") and not steered(spawn)
+    return not replays(spawn) and spawn != "block-replay" and not steered(spawn)
 
 
 def competing_rows(table: Sequence[Row]) -> list[Row]:
     """The rows of a table that are ranked, if all of them have scores."""
     entries = [row for row in table if row.kind == "entry"]
-    if all(row.spawn == "replay" for row in entries):  # only policies are compared
+    if all(replays(row.spawn) for row in entries):  # only policies are compared
         return [row for row in entries if row.policy not in RECORDED_POLICIES]
     return [row for row in entries if may_rank(row.spawn)]
 
@@ -167,11 +170,11 @@ def competing_rows(table: Sequence[Row]) -> list[Row]:
 def ranked_by(table: Sequence[Row]) -> RankedBy:
     """The score by which a table is ranked and sorted.
 
-    It is `walk` if only policies are compared (all entries have the spawn model `replay`),
+    It is `walk` if only policies are compared (recorded people enter in all entries),
     otherwise `overall` if every competing entry has one, otherwise `crowd`.
     """
     entries = [row for row in table if row.kind == "entry"]
-    if all(row.spawn == "replay" for row in entries):
+    if all(replays(row.spawn) for row in entries):
         return "walk"
     competing = competing_rows(table) or entries
     return "overall" if all(row.overall is not None for row in competing) else "crowd"

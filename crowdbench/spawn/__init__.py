@@ -6,6 +6,7 @@ from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals
 from crowdbench.spawn.model import FittedModel, SpawnModel
 from crowdbench.spawn.ntpp.model import NtppGMM
 from crowdbench.spawn.paper.model import NtppPaper
+from crowdbench.spawn.perturbed_replay import PerturbedReplay
 from crowdbench.spawn.replay import Replay
 from crowdbench.spawn.steering.scenario import Addition, Change, Scenario
 from crowdbench.spawn.steering.steered import Steered
@@ -15,6 +16,7 @@ from crowdbench.spawn.times.renewal import RenewalGMM
 
 __all__ = [
     "Addition", "Areas", "Arrivals", "BlockReplay", "Change", "CoxGMM", "FittedModel", "NtppGMM",
-    "NtppPaper", "PoissonGMM", "PoissonGroups", "PoissonPaper", "RenewalGMM", "Replay",
-    "Scenario", "SpawnEvents", "SpawnModel", "Steered", "arrivals_in", "arrivals_of", "fit_areas",
+    "NtppPaper", "PerturbedReplay", "PoissonGMM", "PoissonGroups", "PoissonPaper", "RenewalGMM",
+    "Replay", "Scenario", "SpawnEvents", "SpawnModel", "Steered", "arrivals_in", "arrivals_of",
+    "fit_areas",
 ]  # fmt: skip

@@ -28,6 +28,17 @@ def bodies(scenes: list[str] | None = None, /) -> None:
     print(page(scenes or crowdbench.list_scenes()), end="")
 
 
+def copies(scenes: list[str] | None = None, /) -> None:
+    """Print the page on policies that copy recorded paths (minutes).
+
+    Args:
+        scenes: ids of scenes, or their folders (default: ETH and the Forum)
+    """
+    from studies.copies import SCENES, page
+
+    print(page(scenes or SCENES), end="")
+
+
 def exam(policies: list[str] | None = None, /, *, workers: Workers = None) -> None:
     """Print the page on the exam of the policies that come with crowdbench (minutes).
 

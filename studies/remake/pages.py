@@ -9,6 +9,8 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
+from studies.copies import HONEST as COPIED_BESIDE
+from studies.copies import SCENES as COPIED
 from studies.exam import POLICIES as EXAMINED
 from studies.figures import BASELINE, BEST, WALKERS
 from studies.figures import SPAWN as DRAWN
@@ -179,6 +181,18 @@ def _comparisons() -> Iterator[Result]:
         {"eth-v0": [("replay", policy) for policy in EXAMINED]},
         splits=FULL,
         stdout="docs/exam.md",
+    )
+    yield _page(
+        "docs/trust",
+        ("docs/trust.md",),
+        [("python", "-m", "studies", "copies")],
+        "studies.copies",
+        {
+            scene: [(s, p) for s in ("replay", "perturbed-replay") for p in COPIED_BESIDE]
+            for scene in COPIED
+        },
+        splits=FULL,
+        stdout="docs/trust.md",
     )
     robots = _page(
         "docs/robot-table",

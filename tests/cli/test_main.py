@@ -390,7 +390,7 @@ def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
     assert main(["data", "arrivals", "plaza-v0", "--out", str(tmp_path / "e.csv")]) == 0
     assert (tmp_path / "e.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
     for more, said in (
-        ([*short, "--horizon-s", "0"], "got 0; expected a number above 0"),
+        ([*short, "--horizon-s", "0"], "got 0.0; expected a positive number of seconds"),
         ([*asked, str(tmp_path / "c.txt")], "expected .csv, .parquet or .json"),
         ([*asked, str(tmp_path / "c.csv"), "--seed", "-1"], "got -1; expected 0 or more"),
     ):

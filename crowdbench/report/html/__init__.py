@@ -26,6 +26,7 @@ from crowdbench.scene import Scene
 from crowdbench.scoring.ranking import Row, ordered, rows
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals
+from crowdbench.spawn.perturbed_replay import replays
 
 
 def write_report(
@@ -54,7 +55,7 @@ def write_report(
 def _page(card: Scorecard, plot: PlotData, crowds: Crowds, recording: Trajectories | None) -> str:
     scene, table = plot.scene, rows(card)
     names = names_of([(row.spawn, row.policy) for row in table], scene)
-    shown = [e for e in card.entries if e.spawn != "replay"] or card.entries
+    shown = [e for e in card.entries if not replays(e.spawn)] or card.entries
     body = html(
         "report.html.j2",
         card=card,

@@ -16,6 +16,7 @@ from crowdbench.report.text.notes import gate_notes, too_few_rollouts
 from crowdbench.scoring import ranking
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import PairResult, Scorecard, has_recorded_arrivals
+from crowdbench.spawn.perturbed_replay import replays
 
 
 def score_table(card: Scorecard, table: Sequence[ranking.Row], names: Names) -> Markup:
@@ -25,8 +26,8 @@ def score_table(card: Scorecard, table: Sequence[ranking.Row], names: Names) -> 
     """
     by, table = ranking.ranked_by(table), ranking.ordered(table)
     entries = [row for row in table if row.kind == "entry"]
-    crowds = [row for row in entries if row.spawn != "replay"]
-    walkers = [row for row in entries if row.spawn == "replay"]
+    crowds = [row for row in entries if not replays(row.spawn)]
+    walkers = [row for row in entries if replays(row.spawn)]
     return html(
         "scores.html.j2",
         card=card,
@@ -61,7 +62,7 @@ def _ordered_by(rows: Sequence[ranking.Row], by: str) -> str:
     """How a part of the table is sorted, as an addition to its name."""
     if any(row.rank is not None for row in rows):
         return f", by rank ({by})"
-    return " (not ranked)" if rows and rows[0].spawn == "replay" else ""
+    return " (not ranked)" if rows and replays(rows[0].spawn) else ""
 
 
 class _Scale:
@@ -80,8 +81,8 @@ class _Scale:
 
 def metric_tables(card: Scorecard, plot: PlotData, names: Names) -> Markup:
     """HTML tables: all metrics of the crowds; motion and interaction under recorded arrivals."""
-    crowds = [e for e in card.entries if e.spawn != "replay"]
-    walkers = [e for e in card.entries if e.spawn == "replay"]
+    crowds = [e for e in card.entries if not replays(e.spawn)]
+    walkers = [e for e in card.entries if replays(e.spawn)]
     first = crowds or walkers
     tables = [_metric_table("Metrics of each crowd", card, first, FAMILIES)]
     if crowds and walkers:

@@ -21,6 +21,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LEVEL
 from crowdbench.scoring.scorecard import BASELINES
 from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.spawn.perturbed_replay import replays
 
 Crowds = Mapping[tuple[str, str, int], Trajectories]
 """Rollouts by spawn model, policy and seed."""
@@ -101,7 +102,7 @@ class PlotData:
         )
         pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
         names = names_of([*pairs, *BASELINES], scene)  # the tables show the baselines too
-        pairs = [pair for pair in pairs if pair[0] != "replay"] or pairs
+        pairs = [pair for pair in pairs if not replays(pair[0])] or pairs
         colours = spawn_colours([spawn for spawn, _ in pairs])
         policies = list(dict.fromkeys(policy for _, policy in pairs))
         groups = [

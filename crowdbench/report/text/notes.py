@@ -10,6 +10,7 @@ from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.ranking import Row, gate_standard, steered, walker_of
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import ANCHOR, Limit, Scorecard, has_recorded_arrivals
+from crowdbench.spawn.perturbed_replay import replays
 
 
 def made(card: Scorecard) -> str:
@@ -95,7 +96,7 @@ def score_notes(card: Scorecard, scene: Scene, table: Sequence[Row], names: Name
             "No scores: this scene has no scored metrics yet. Run "
             f"`crowdbench scene power {scene.asked} --write`."
         )
-    elif any((row.walk if row.spawn == "replay" else row.crowd) is None for row in entries):
+    elif any((row.walk if replays(row.spawn) else row.crowd) is None for row in entries):
         notes.append(f"Scores are missing: {too_few_rollouts(card)}")
     if not has_recorded_arrivals(card):
         notes.append(f"Scores of motion and interaction need the recording: {to_import(scene)}.")

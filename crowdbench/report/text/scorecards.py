@@ -15,6 +15,7 @@ from crowdbench.report.text.words import interval, number, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.ranking import Row, ordered, ranked_by, rows
 from crowdbench.scoring.scorecard import PairResult, Scorecard
+from crowdbench.spawn.perturbed_replay import replays
 
 Column: TypeAlias = tuple[str, Callable[[Row], str | Text]]
 
@@ -94,7 +95,7 @@ def _gated(row: Row, limit: str, value: str) -> Text:
 
 
 def _print_distances(card: Scorecard, names: Names) -> None:
-    entries = [e for e in card.entries if e.spawn != "replay"] or card.entries
+    entries = [e for e in card.entries if not replays(e.spawn)] or card.entries
     numbered = list(enumerate(entries, 1))
     layouts = (
         [_distance_table(card, numbered[k : k + size]) for k in range(0, len(numbered), size)]

@@ -37,14 +37,16 @@ from crowdbench.spawn.plans.planned import PlannedAreas
 SCHEMA = 1
 _LIMITS = {
     "factor": (0.0, 100.0),
-    "shift_s": (-math.inf, math.inf),
-    "group_size": (1.0, math.inf),
+    "shift_s": (-86_400.0, 86_400.0),
+    "group_size": (1.0, 100.0),
     "stop": (0.0, 1.0),
-    "wait_s": (4.0, math.inf),
-    "sd_m": (0.01, math.inf),
-    "persons_per_min": (0.0, math.inf),
+    "wait_s": (4.0, 86_400.0),
+    "sd_m": (0.01, 1_000.0),
+    "persons_per_min": (0.0, 6_000.0),
 }
 """Smallest and largest values of the numbers of changes and additions."""
+MOST_ADDED = 100
+"""Largest number of additional areas."""
 _PROFILES = ("factor", "persons_per_min")
 _HINT = "Compare with the scenarios in docs/steering.md."
 
@@ -213,6 +215,9 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
             got = f"a change of stops on {areas.scene}, where too few recorded people stop"
             expected = "a scene whose model knows places of stops"
             raise SettingError(f"{at}, stop", got=got, expected=expected)
+    if len(scenario.add) > MOST_ADDED:
+        got = f"{len(scenario.add)} additional areas"
+        raise SettingError(f"{where}, add", got=got, expected=f"at most {MOST_ADDED}")
     for k, addition in enumerate(scenario.add, 1):
         at = f"{where}, add {k}"
         if not scene.walkable(np.array([addition.mean_m], dtype=np.float64))[0]:
@@ -261,9 +266,7 @@ def _check_numbers(of: Change | Addition, where: str) -> None:
 
 def _check_range(value: Number, least: float, most: float, where: str) -> None:
     if not (math.isfinite(value) and least <= value <= most):
-        bounds = f"{least:g} to {most:g}" if math.isfinite(most) else f"{least:g} or more"
-        expected = bounds if math.isfinite(least) else "a finite number"
-        raise SettingError(where, got=f"{value:g}", expected=expected)
+        raise SettingError(where, got=f"{value:g}", expected=f"{least:g} to {most:g}")
 
 
 def _check_goals(goals: Goals, scenario: Scenario, areas: Areas, where: str, scene: Scene) -> None:
