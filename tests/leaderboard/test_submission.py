@@ -1,11 +1,13 @@
 """Submissions: read, judged by what they declare, and refused with everything that is wrong."""
 
+import json
 import os
 import pickle
 import shutil
 from pathlib import Path
 
 import msgspec
+import onnx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -279,6 +281,17 @@ def test_a_name_cannot_pass_for_another_one(name: str, said: str, walker: Path) 
 )
 def test_other_names_stay_as_they_are(name: str, walker: Path) -> None:
     assert read_submission(edit(walker, "A walker", name)).declared.name == name
+
+
+def test_a_network_that_sees_too_far_is_refused(walker: Path) -> None:
+    path = walker / "plaza-v0" / "policy" / "fold1.onnx"
+    model = onnx.load(path)
+    (entry,) = model.metadata_props
+    card = json.loads(entry.value) | {"ray_range_m": 200.0}
+    entry.value = json.dumps(card)
+    onnx.save(model, path)
+    told = refusal(walker)
+    assert "fold1.onnx: got a network with a ray_range_m of 200; expected at most 20 m" in told
 
 
 @pytest.mark.parametrize("name", ["Fußgänger", "行人", "नमस्ते", "Nguyễn Ệ", "שָׁלוֹם", "ฟ้า"])

@@ -15,6 +15,9 @@ from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_source
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 
+FARTHEST_M = 20.0
+"""Largest range of the rays of a submitted network, and of the bounds that it sees. With
+longer ones it would know its place, and with it the person whose recorded path it is to walk."""
 _BASELINE = re.compile(r"(crowdbench\.)?baselines\.[a-z_]+:[A-Z][A-Za-z]*")
 """A class of `crowdbench.baselines`. Submissions to version 0.1 left out the package's name."""
 
@@ -26,6 +29,7 @@ def check_models(folder: Path, declared: Declared, layout: Layout, problems: Pro
         with problems.collected(folder):
             network = OnnxPolicy(folder / name)
             _check_training(name, network.card, declared, problems)
+            _check_sight(name, network.card, problems)
             network.check_rows()
     for scene, name in layout.weights.items():
         with problems.collected(folder):
@@ -83,6 +87,14 @@ def _check_training(name: str, card: PolicyCard, declared: Declared, problems: P
     if not fits:
         got = f"a network trained on {card.trained_on}"
         problems.refuse(name, got=got, expected=expected, hint=hint)
+
+
+def _check_sight(name: str, card: PolicyCard, problems: Problems) -> None:
+    """Refuse a network that sees further than people do, and so would know where it is."""
+    if card.with_rays and card.ray_range_m > FARTHEST_M:
+        got = f"a network with a ray_range_m of {card.ray_range_m:g}"
+        expected = f"at most {FARTHEST_M:g} m"
+        problems.refuse(name, got=got, expected=expected, hint="Train it with shorter rays.")
 
 
 def _check_names(declared: Declared, problems: Problems) -> None:
