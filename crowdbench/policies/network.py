@@ -5,11 +5,11 @@ float32 (A, 2), where the number of persons A is free. A stochastic policy has a
 `noise`, float32 (A, Z): standard normal numbers that the rollout draws for each person and step, so
 that the same seed gives the same crowd. A policy that remembers people has the input `state` and
 the output `next_state`, float32 (A, M): zeros when a person enters, then what the network returned
-for it. The input `style`, float32 (A, S), is drawn like noise, but once per person. M and S are in
-the card. Operators that draw random numbers are rejected. Each action must be computed from the
-person's own row, which `crowdbench.policies.rows` tests. The metadata contain a `PolicyCard` as
-JSON under the key `crowdbench`. A file can only contain standard ONNX operators, which onnxruntime
-executes: no pickle, no custom operators and no external data.
+for it, rounded (`rows.kept`). The input `style`, float32 (A, S), is drawn like noise, but once per
+person. M and S are in the card. Operators that draw random numbers are rejected. Each action must
+be computed from the person's own row, which `crowdbench.policies.rows` tests. The metadata contain
+a `PolicyCard` as JSON under the key `crowdbench`. A file can only contain standard ONNX operators,
+which onnxruntime executes: no pickle, no custom operators and no external data.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ from crowdbench.files import read_bytes
 from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
 from crowdbench.policies.onnx_runtime import LONGEST_S, CallLimit, runtime
-from crowdbench.policies.rows import ROWS, Watch, check_rows
+from crowdbench.policies.rows import ROWS, Watch, check_rows, in_parts, kept
 from crowdbench.scene import Scene
 from crowdbench.simulation.social import with_velocities_times
 
@@ -70,6 +70,7 @@ class OnnxPolicy:
         self.memory, self.style, self.interval = card.memory, card.style, card.interval
         self.deterministic = self.noise == self.style == 0
         self._watch = Watch(self.path)
+        self._parts = np.random.default_rng(0)
         self._limit = CallLimit()
         self._unit = 1.0
 
@@ -79,6 +80,7 @@ class OnnxPolicy:
         self._unit = 1.0 if own is None else scene.motion.max_speed_mps / own
         self._rng = rng
         self._watch = Watch(self.path)
+        self._parts = np.random.default_rng(0)
 
     def act(
         self, seen: Float32[np.ndarray, "A obs"], memory: Memory | None = None
@@ -99,10 +101,10 @@ class OnnxPolicy:
         if memory is not None:
             inputs = {"state": memory.state, "style": memory.style, "noise": memory.noise}
             fed |= {name: values for name, values in inputs.items() if values.shape[1]}
-        answer = self._run(fed)
+        answer = in_parts(self._run, fed, self._parts) if self.memory else self._run(fed)
         self._watch.look(self._run, fed, answer)
         if memory is not None:
-            memory.state[:] = answer[:, 2:]
+            memory.state[:] = kept(answer[:, 2:])
         return answer[:, :2] / np.float32(self._unit)
 
     def check_rows(self, where: object = None) -> None:

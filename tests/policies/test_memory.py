@@ -12,6 +12,7 @@ from crowdbench import rollout, spawn_model
 from crowdbench.errors import ActionError, SettingError, WeightsError
 from crowdbench.policies import Memory, OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
+from crowdbench.policies.rows import GRID, kept
 from crowdbench.registry import policy_source
 from crowdbench.run.acting import Actor
 from crowdbench.scene import Scene, load_scene
@@ -222,7 +223,9 @@ def test_a_file_remembers_as_the_network_does(file: Path) -> None:
         with torch.no_grad():
             expected, state = network(torch.tensor(seen), state)
         np.testing.assert_allclose(policy.act(seen, memory), expected.numpy(), atol=1e-5)
-        np.testing.assert_allclose(memory.state, state.numpy(), atol=1e-5)
+        state = torch.tensor(kept(state.numpy()))  # as the states of files are
+        np.testing.assert_allclose(memory.state, state.numpy(), atol=1.1 * GRID)
+        state = torch.tensor(memory.state)
 
 
 def test_a_crowd_of_a_file_is_that_of_its_network(file: Path) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 from submissions import declare, problem
 from torch import Tensor, nn
@@ -19,7 +21,8 @@ from crowdbench.files import sha256
 from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
-from crowdbench.policies.rows import TOLERANCE, Watch, too_many
+from crowdbench.policies.memory import Memory
+from crowdbench.policies.rows import TOLERANCE, Watch, kept, too_many
 from crowdbench.scene import list_scenes, load_scene
 
 PLAZA = load_scene("plaza-v0")
@@ -154,6 +157,84 @@ def test_what_mixes_rarely_is_found_out_in_a_rollout(
 
     with pytest.raises(WeightsError, match="mixes rows"):
         act()
+
+
+class Remembers(nn.Module):
+    """Walks by what it finds in its state."""
+
+    def __init__(self, step: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]) -> None:
+        super().__init__()
+        self.step = step
+
+    def forward(self, seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        return self.step(seen, state)
+
+
+def whispers(seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    """A mean over all persons, far below the tolerance; a step later it is an action again."""
+    told = (state - 1) * 2.5e5
+    return told.expand(-1, 2).clamp(-1, 1), 1 + 4e-6 * seen.mean() + 0 * state
+
+
+def on_the_edge(seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    """The same where rounding turns it into a whole step."""
+    told = (state - 1) * 4096
+    return told.expand(-1, 2).clamp(-1, 1), 1 + 0.5 / 4096 + 4e-6 * seen.mean() + 0 * state
+
+
+def remembering(step: Callable[..., tuple[Tensor, Tensor]], path: Path) -> OnnxPolicy:
+    card = PolicyCard(
+        name="r", observation="lidar-2", rays=8, scene="plaza-v0", split="full", memory=1
+    )
+    return OnnxPolicy(export_policy(Remembers(step), path, card))
+
+
+def walked(policy: OnnxPolicy, steps: list[np.ndarray]) -> np.ndarray:
+    """The last actions of persons, of whom the policy keeps a state."""
+    size = len(steps[0])
+    memory = Memory(
+        np.zeros((size, 1), np.float32), np.empty((size, 0), np.float32),
+        np.zeros(size, np.int64), np.arange(size), np.ones(size, bool),
+    )  # fmt: skip
+    policy.reset(PLAZA, np.random.default_rng(0))
+    for seen in steps:
+        action = policy.act(seen, memory)
+    return action
+
+
+@pytest.mark.parametrize("loud", [-1.0, 1.0])
+def test_a_state_does_not_tell_what_others_see(loud: float, tmp_path: Path) -> None:
+    """One person shouts, the others are as always: they act as if nobody did."""
+    policy = remembering(whispers, tmp_path / "net.onnx")
+    rng = np.random.default_rng(0)
+    calm = [rng.uniform(-0.1, 0.1, (40, policy.card.inputs)).astype(np.float32) for _ in range(3)]
+    shouted = [seen.copy() for seen in calm]
+    for seen in shouted:
+        seen[0] = 5 * loud
+    assert walked(policy, calm)[1:] == pytest.approx(walked(policy, shouted)[1:])
+
+
+def test_a_state_on_the_edge_of_rounding_is_found_out(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="one number of the next state of"):
+        remembering(on_the_edge, tmp_path / "net.onnx")
+
+
+def test_a_memory_of_ones_own_is_kept(tmp_path: Path) -> None:
+    def counts(seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        return state.expand(-1, 2) / 10, state + 0.25 + seen[:, :1] / 4
+
+    policy = remembering(counts, tmp_path / "net.onnx")
+    rng = np.random.default_rng(1)
+    steps = [rng.uniform(-1, 1, (30, policy.card.inputs)).astype(np.float32) for _ in range(5)]
+    told = sum(0.25 + seen[:, 0] / 4 for seen in steps[:-1]) / 10
+    assert walked(policy, steps)[:, 0] == pytest.approx(told.clip(-1, 1), abs=1e-3)
+
+
+@given(st.floats(-1e6, 1e6, width=32))
+def test_states_keep_their_size(state: float) -> None:
+    found = float(kept(np.array([[state]], np.float32))[0, 0])
+    assert abs(found - state) <= 2.0**-13 * max(1, abs(state))
+    assert float(kept(np.array([[found]], np.float32))[0, 0]) == found
 
 
 def test_what_a_rollout_looks_at_changes_nothing(
