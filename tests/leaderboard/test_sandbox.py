@@ -1,6 +1,7 @@
 """The sandbox: who hangs, crashes, forks or eats memory is refused, and leaves nothing behind."""
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -29,7 +30,9 @@ NARROW = Limits(
 def walls(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Behind bubblewrap, and as where there is none."""
     if request.param == "isolated":
-        need(not isolation.lacking(), f"bubblewrap, which isolates ({isolation.lacking()})")
+        need(shutil.which("bwrap") or sys.platform != "linux", "bubblewrap")
+        if isolation.lacking():  # a container may forbid namespaces
+            pytest.skip(isolation.lacking())
     else:
         monkeypatch.setattr(isolation, "lacking", lambda: "not asked for")
     return str(request.param)
