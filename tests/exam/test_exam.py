@@ -223,7 +223,7 @@ def test_the_command_prints_verdicts(capsys: pytest.CaptureFixture[str]) -> None
      ({"policy": "straigth"}, "straight"),
      ({"body_radius_m": 0.5}, "0 \\(no bodies\\) to 0.19"),
      ({"policy": ["straight", "replay"]}, "walk where nobody was recorded"),
-     ({"workers": 0}, "1 or more")],
+     ({"workers": 0}, "1 to 10,000")],
 )  # fmt: skip
 def test_wrong_settings_are_refused_before_anybody_walks(
     changed: dict[str, object], message: str, monkeypatch: pytest.MonkeyPatch

@@ -92,7 +92,7 @@ def test_costs_are_shown_if_they_are_asked_for() -> None:
         (["straight"], {"seed": -1}, "0 or more"),
         (["straight"], {"robot": "delivry"}, "Did you mean `delivery`"),
         (["straight"], {"walkers": "nobody"}, "nobody"),
-        (["straight"], {"workers": 0}, "1 or more"),
+        (["straight"], {"workers": 0}, "1 to 10,000"),
     ],
 )
 def test_wrong_input_is_told_before_anybody_drives(

@@ -78,7 +78,7 @@ def test_workers_are_as_many_as_asked_for_or_as_there_are_cores() -> None:
 
 @pytest.mark.parametrize("asked", [0, -1])
 def test_fewer_than_one_worker_is_refused(asked: int) -> None:
-    with pytest.raises(SettingError, match="1 or more"):
+    with pytest.raises(SettingError, match="1 to 10,000"):
         checked_workers(asked)
 
 
