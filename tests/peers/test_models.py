@@ -165,7 +165,7 @@ def test_calibration_starts_from_the_published_parameters_and_continues(tmp_path
     [
         (["calibrate", "nowhere"], "expected one of eth-v0"),
         (["entries", "plaza-v0", "--model", "warpdriver"], "Did you mean `warp-driver`"),
-        (["exam", "--workers", "0"], "expected 1 or more"),
+        (["exam", "--workers", "0"], "expected 1 to 10,000"),
     ],
 )
 def test_wrong_words_are_answered_before_hours_of_work(
