@@ -71,10 +71,8 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("brief")
 def test_a_network_that_never_answers_is_refused(tmp_path: Path) -> None:
-    began = time.monotonic()
     with pytest.raises(WeightsError, match="got no answer for 1 persons in"):
         OnnxPolicy(looping(tmp_path / "loop.onnx", beyond=-10.0))
-    assert time.monotonic() - began < 20
 
 
 @pytest.mark.usefixtures("brief")
