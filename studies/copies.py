@@ -182,9 +182,10 @@ above {similar:g}, for the best delay of up to {lag:g} s, rotation and reflectio
 The tables have the score *walk* (protocol full) under the recorded and the perturbed arrivals
 ({draws} draws), and the share of copied trips. The first rows are honest policies. The others are
 copies that recognise recorded people, and walk by social forces where they recognise nobody;
-*nearest trip* takes the most similar recorded trip for everybody, turned and stretched to fit. No
-copy comes near to the best honest policy among people who never came. A share of copied trips
-finds all copies that score under the recorded arrivals.
+*nearest trip* takes the most similar recorded trip for everybody, turned and stretched to fit.
+Among people who never came, no copy comes near to the best honest policy. Honest policies lose
+something there, too, social forces most. Each copy that scores well under the recorded arrivals
+has far more copied trips than any honest policy.
 
 The leaderboard ranks under the recorded arrivals still, and flags by positions. Both will change
 with its next scorer.

@@ -113,12 +113,15 @@ def spawn_source(name: str, scene: Scene) -> SpawnSource:
     """Find what the name of a spawn model refers to on a scene.
 
     Raises:
-        SettingError: a folder does not contain the fits of exactly one model.
+        SettingError: a folder does not contain the fits of exactly one model, or a key is invalid.
         WeightsError: the scene has no fits of this model.
     """
     plugins.names("spawn_models", SPAWN_MODELS)  # raises an error if a built-in name was registered
     base, scenario = split_scenario(name)
     fits = _fits_of(base, scene)
+    if base.startswith(f"{PERTURBED}:") and with_key(base) is None:
+        expected = f"{PERTURBED}:KEY, with a key of letters, digits and _"
+        raise SettingError("spawn model", got=repr(base), expected=expected)
     own = fits is None and base not in SPAWN_MODELS and with_key(base) is None
     return SpawnSource(name, scene, base, scenario, fits, own)
 

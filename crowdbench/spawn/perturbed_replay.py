@@ -31,8 +31,7 @@ SPEED = 0.05
 ROOM_M = 0.5
 """Nobody is moved nearer to a wall than this, because honest walkers would bump into it."""
 HALVINGS = 4
-"""So often a displacement that leads through a wall or out of the bounds is halved, then left out.
-"""
+"""How often a displacement through a wall or out of the bounds is halved before it is left out."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -202,6 +202,17 @@ def test_isolated_children_see_none_of_the_users_files(walls: str, tmp_path: Pat
     assert seen[1].files == "isolated"
 
 
+def test_the_working_directory_is_not_seen_because_python_imports_from_it(
+    walls: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "secret").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    asked = {"path": str(tmp_path / "secret"), "home": str(Path.home())}
+    found = call("hostile:look", asked, dict, where="mine", limits=NARROW)[0]
+    assert found["secret"] == ("mine" if walls == "plain" else "No such file or directory")
+
+
 def test_isolated_children_write_only_where_they_may(walls: str, tmp_path: Path) -> None:
     mine, other = tmp_path / "mine", tmp_path / "other"
     other.mkdir()

@@ -74,7 +74,9 @@ def _system() -> list[str]:
 def _python() -> list[Path]:
     """Python, its packages, crowdbench, and the recordings."""
     named = (os.environ.get(name, "") for name in ("CROWDBENCH_DATA", "PYTHONPATH"))
-    paths = [sys.prefix, sys.base_prefix, *sys.path, *os.pathsep.join(named).split(os.pathsep)]
+    # `python -m` puts the working directory there, which may be the user's home.
+    imported = [path for path in sys.path if Path(path).resolve() != Path.cwd()]
+    paths = [sys.prefix, sys.base_prefix, *imported, *os.pathsep.join(named).split(os.pathsep)]
     own = [home() / name for name in ("recordings", "prepared", "rollouts")]
     package = Path(crowdbench.__file__).parent
     beside = [package, *(package.parent / name for name in ("scenes", "baselines"))]
