@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from crowdbench.files import write_json
-from crowdbench.leaderboard.verification.copying import TripCopies
 from crowdbench.leaderboard.verification.flags import PATH, MeasuredShares, read_shares
+from crowdbench.leaderboard.verification.path_copies import PathCopies
 from crowdbench.registry import policy, recording_of, spawn_model
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
 
 HONEST = ("straight", "social-force")
-"""Walkers who cannot copy. The entry `orca` has the shares of `straight` on its scenes."""
+"""Walkers who cannot copy."""
 
 
 def measure(scene: Scene) -> dict[str, float]:
@@ -19,7 +19,7 @@ def measure(scene: Scene) -> dict[str, float]:
     Raises:
         RecordingError: the recording is not imported.
     """
-    copies = TripCopies(recording_of(scene), scene)
+    copies = PathCopies(recording_of(scene), scene)
     arrivals = spawn_model("replay", scene)
     found = {}
     for walker in HONEST:

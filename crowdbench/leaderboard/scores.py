@@ -27,20 +27,23 @@ class View(NamedTuple):
     scene: str = ""
 
 
-def scores(entry: Entry, *, gated: bool = True) -> dict[View, Score]:
+def scores(entry: Entry, *, gated: bool = True, recorded: bool = False) -> dict[View, Score]:
     """The scores of an entry, by the views in which it has one.
 
     A scene's score combines its families (see `total_score`), if no scored family is missing. The
     overall score, in total and of each family, is the mean of the scenes in `SCENES`, if none is
     missing. Crowds submitted as trajectories do not have the recorded arrivals, so they are scored
-    without motion and interaction. With `gated=False`, the scores are those without the gate.
+    without motion and interaction. With `gated=False`, the scores are those without the gate; with
+    `recorded`, those of walking are under the recorded arrivals, where policies are ranked under
+    perturbed ones.
     """
     families = FAMILIES_OF[entry.declared.track]
     if entry.declared.track == "crowd" and are_trajectories(entry):
         families = FAMILIES_OF["spawn"]
     found: dict[View, Score] = {}
     for name, scene in entry.scenes.items():
-        each = {f: scene.families[f].score() for f in families if f in scene.families}
+        cards = scene.families | (scene.recorded if recorded else {})
+        each = {f: cards[f].score() for f in families if f in cards}
         found |= {View(family, name): score for family, score in each.items()}
         counted = {FAMILY_OF[metric] for metric, m in scene.metrics.items() if m.scored}
         whole = total_score(each, passes=not (scene.fails and gated))

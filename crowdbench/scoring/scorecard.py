@@ -37,7 +37,6 @@ BASELINES = (
     ("replay", "recorded-paths"),
     ("replay", "random"),
     ("block-replay", "straight"),
-    ("poisson-gmm", "random"),
 )
 """The unranked baselines that every table shows: pairs of a spawn model and a policy."""
 

@@ -4,6 +4,7 @@ Submissions in the repository are trusted: their rollouts go into the store, whe
 Scenes on which nothing has changed since `results.lock` was written keep their results.
 """
 
+import secrets
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -38,7 +39,8 @@ def main(entry_id: str) -> None:
     known = {scene: known_scene(old, scene) for scene in unchanged} if old else {}
     with progress_bar(entry_id):
         submission = str(ROOT / "submissions" / entry_id)
-        entry = make_entry(submission, str(WORK), None, examine=True, known=known)
+        key = (old.key if old else "") or secrets.token_hex(16)
+        entry = make_entry(submission, str(WORK), None, examine=True, known=known, key=key)
     write_json(path, msgspec.structs.replace(entry, history=old.history if old else []))
 
 

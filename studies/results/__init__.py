@@ -13,7 +13,7 @@ from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.jobs import Job, plan, splits_of
-from crowdbench.run.rollout_jobs import Progress
+from crowdbench.run.rollout_jobs import Progress, roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import Protocol, Scorecard
@@ -64,12 +64,14 @@ def write_results(
                 workers=workers,
                 out=folder,
                 report=False,
-                keep_rollouts=True,
                 progress=progress,
             )
             for protocol, folder in folders.items()
         }
         jobs = {protocol: _jobs(place, card, folders[protocol]) for protocol, card in cards.items()}
+        jobs["heldout"] = _of_best(jobs["heldout"], cards["heldout"])
+        for each in jobs.values():
+            roll_out(each, None, workers, progress)
         reference = read_reference(place)
         crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in jobs["full"]}
         recording = recording_of(place) if has_recording(place) else None
@@ -83,24 +85,30 @@ def write_results(
 
 
 def _jobs(place: Scene, card: Scorecard, folder: Path) -> list[Job]:
-    """The rollouts from which a scorecard was computed."""
+    """The first rollout of each fit (and fold), which pictures and correlations show."""
     pairs = [(entry.spawn, entry.policy) for entry in card.entries]
-    return plan(place.asked, place, pairs, card.protocol, card.rollouts, folder / "rollouts")
+    jobs = plan(place.asked, place, pairs, card.protocol, card.rollouts, folder / "rollouts")
+    return [job for job in jobs if job.seed < place.protocol.fits]
+
+
+def _of_best(jobs: list[Job], card: Scorecard) -> list[Job]:
+    """The rollouts of a scorecard's best crowd; none without scores."""
+    best = best_of(card)
+    return (
+        []
+        if best is None
+        else [j for j in jobs if (j.spawn, j.policy) == (best.spawn, best.policy)]
+    )
 
 
 def _lags(reference: Reference, card: Scorecard, jobs: list[Job]) -> list[Lag]:
     """Autocorrelation of N(t) for a scorecard's best crowd, lag by lag; empty without scores."""
-    best = best_of(card)
-    if best is None:
-        return []
-    of_best = [job for job in jobs if (job.spawn, job.policy) == (best.spawn, best.policy)]
-    return at_lags(
-        reference,
-        {
-            split: [read_own(job.path) for job in of_best if job.split == split]
-            for split in splits_of(card.protocol)
-        },
-    )
+    of_best = _of_best(jobs, card)
+    crowds = {
+        split: [read_own(job.path) for job in of_best if job.split == split]
+        for split in splits_of(card.protocol)
+    }
+    return at_lags(reference, crowds) if of_best else []
 
 
 __all__ = ["write_results"]

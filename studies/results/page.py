@@ -66,8 +66,9 @@ Motion and interaction are scored under the recorded arrivals only, in the colum
 
 ## Pictures
 
-The pictures show the whole recording and the rollouts of protocol `full`. Colours mark spawn
-models; the recording is black or grey. If both policies are drawn, dashed lines are social-force.
+The pictures show the whole recording and one rollout of each fit in protocol `full`. Colours mark
+spawn models; the recording is black or grey. If both policies are drawn, dashed lines are
+social-force.
 
 {shown}
 

@@ -1,4 +1,4 @@
-"""The pictures of the results page, of all rollouts of an evaluation, with captions."""
+"""The pictures of the results page, of rollouts of an evaluation, with captions."""
 
 from dataclasses import dataclass
 from pathlib import Path

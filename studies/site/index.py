@@ -13,13 +13,15 @@ from studies.site.tables import listed_table, ranked_table
 from studies.site.text import in_html
 
 JUDGED: dict[Track, str] = {
-    "walk": "A policy moves the people; they enter when and where they did in the recording. "
-    "Scored on motion and interaction, of which the lesser counts.",
+    "walk": "A policy moves the people of the recording. They enter up to 2 s earlier or later and "
+    "some decimetres beside their places, by random numbers that nobody knew before; people of "
+    "references, external and listed entries enter exactly as recorded. Scored on motion and "
+    "interaction, of which the lesser counts.",
     "spawn": "A spawn model draws when, where and with which goal people enter; they walk "
     "straight. Scored on arrivals, presence, trips and space.",
     "crowd": "A spawn model and a policy together. Scored on arrivals, presence, trips and space "
-    "of the simulated crowd, and on motion and interaction (the lesser) under the recorded "
-    "arrivals; the mean of both counts.",
+    "of the simulated crowd, and on motion and interaction (the lesser) as on the track walk; the "
+    "mean of both counts.",
 }
 LISTED = (
     "Scored in the same way, but not ranked: trajectories that crowdbench did not simulate, and "

@@ -40,10 +40,13 @@ def _ranked(standing: Standing) -> str:
         lines += [line for line in ordered if line.entry.status == status]
     exams, scenes, copies = any_examined(lines), standing.scenes, copied(standing)
     rows = [
-        [standing.rank(line, OVERALL), *_cells(line, standing, scenes, copies, exams=exams)]
+        [
+            standing.rank(line, OVERALL),
+            *_cells(line, standing, scenes, copies, exams=exams, walks=standing.track != "spawn"),
+        ]
         for line in lines
     ]
-    return _table("rank", scenes, copies, rows, exams=exams)
+    return _table("rank", scenes, copies, rows, exams=exams, walks=standing.track != "spawn")
 
 
 def _listed(standings: Sequence[Standing]) -> str:
@@ -65,14 +68,22 @@ def _table(
     rows: Sequence[Sequence[str]],
     *,
     exams: bool,
+    walks: bool = True,
 ) -> str:
-    head = [first, "entry", "kind", "flags", "overall", *GATE, *scenes, *["exam"] * exams]
+    head = [first, "entry", "kind", "flags", "overall", *["as recorded"] * walks, *GATE, *scenes]
+    head += ["exam"] * exams
     head += [f"copy of {c}" for c in copies]
     return table(head, rows, text=4) if rows else ""
 
 
 def _cells(
-    line: Line, standing: Standing, scenes: Sequence[str], copies: Sequence[str], *, exams: bool
+    line: Line,
+    standing: Standing,
+    scenes: Sequence[str],
+    copies: Sequence[str],
+    *,
+    exams: bool,
+    walks: bool = True,
 ) -> list[str]:
     """The cells of an entry's row: name, kind, flags, scores and copy index."""
     entry = line.entry
@@ -86,6 +97,7 @@ def _cells(
         line.kind,
         ", ".join(dict.fromkeys(flag.what for flag in entry.flags)),
         interval(line.scores.get(OVERALL)),
+        *[number(line.recorded)] * walks,
         *gated(line),
         *(number(line.scores.get(View(scene=scene))) for scene in scenes),
         *[examined(line)] * exams,

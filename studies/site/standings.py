@@ -48,6 +48,11 @@ class Line:
     """The score in each view in which it has one."""
 
     @property
+    def recorded(self) -> Score | None:
+        """The overall score with all people entering exactly as recorded."""
+        return scores(self.entry, recorded=True).get(View())
+
+    @property
     def competes(self) -> bool:
         """Whether it is ranked."""
         return self.entry.status == "ranked"

@@ -26,6 +26,11 @@ class Table:
     """Ids of the entries with a rule above their row."""
 
     @property
+    def walks(self) -> bool:
+        """Whether policies are ranked, so that scores under the recorded arrivals have a column."""
+        return self.standing.track != "spawn"
+
+    @property
     def examined(self) -> bool:
         """Whether the table has a column of the exam."""
         return any_examined(self.lines)

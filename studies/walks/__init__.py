@@ -6,22 +6,23 @@ rollouts: the same rollouts give the same bytes.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from crowdbench.data.storage import read_own
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.evaluation import evaluate
 from crowdbench.files import replacing, write_text
 from crowdbench.policies import RecordedPaths
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import Crowds
 from crowdbench.run.jobs import plan
+from crowdbench.run.judge import judge
+from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Progress
+from crowdbench.run.rollout_jobs import Progress, roll_out
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring.reference import read_reference
-from crowdbench.scoring.scorecard import Protocol, Scorecard
+from crowdbench.scoring.scorecard import Protocol, Scorecard, read_anchors
 from crowdbench.spawn import Replay
 from studies.walks.page import Walked, page
 from studies.walks.pictures import draw_dwell
@@ -48,7 +49,8 @@ def write_walks(
     Returns the path of the page. The policies are `random`, `straight`, `social-force`, `more`, and
     those that each scene ships. Rollouts are kept in `walks-<scene>-…` of `work`, where a later
     call reuses them. `seeds` is the number of rollouts per policy (and fold), by default the
-    smallest number that gives scores; `workers` and `progress` are those of `evaluate`.
+    smallest number that gives scores; `workers` and `progress` are those of `evaluate`. Pictures
+    show one rollout of each policy that is trained on the whole recording.
 
     Raises:
         RecordingError: a recording has not been imported.
@@ -87,39 +89,26 @@ def _walk(
     names = {p: walker.name for p, walker in walkers.items()}
     sees = {p: str(walker.sees) for p, walker in walkers.items()}
     seeds = 2 * place.protocol.fits if seeds is None else seeds
-    folder = work / f"walks-{place.id}-full"
-    cards: dict[Protocol, Scorecard] = {}
-    protocols: tuple[Protocol, ...] = ("full", "heldout")
-    for protocol in protocols:
-        cards[protocol] = evaluate(
-            place.asked,
-            spawn=["replay"],
-            policy=policies,
-            protocol=protocol,
-            seeds=seeds,
-            workers=workers,
-            out=work / f"walks-{place.id}-{protocol}",
-            report=False,
-            keep_rollouts=protocol == "full",
-            progress=progress,
-        )
-    sampled = evaluate(
-        place.asked,
-        spawn=[ARRIVALS],
-        policy=policies,
-        seeds=FEW,
-        workers=workers,
-        out=work / f"walks-{place.id}-{ARRIVALS}",
-        report=False,
-        progress=progress,
-    )
+    reference, folder = reference_of(place), work / f"walks-{place.id}"
+
+    def evaluated(spawn: str, protocol: Protocol, seeds: int) -> Scorecard:
+        pairs = [(spawn, p) for p in policies]
+        jobs = plan(place.asked, place, pairs, protocol, seeds, folder / "rollouts")
+        without = [replace(job, shown=False) for job in jobs]
+        rolled = roll_out(without, reference, workers, progress)
+        scale = read_anchors(place).protocols[protocol]
+        return judge(place, reference, rolled, protocol, seeds, scale)
+
+    card = evaluated("replay", "heldout", seeds)
+    sampled = evaluated(ARRIVALS, "full", FEW)
     pairs = [("replay", p) for p in policies]
-    jobs = plan(place.asked, place, pairs, "full", seeds, folder / "rollouts")
+    jobs = plan(place.asked, place, pairs, "full", 1, folder / "rollouts")
+    roll_out(jobs, None, workers, progress)
     crowds: Crowds = {(j.spawn, j.policy, j.seed): read_own(j.path) for j in jobs}
-    recording, reference = recording_of(place), read_reference(place)
+    recording = recording_of(place)
     draw_dwell(place, reference, crowds, names, out / "walks")
     walked = rollout(place, Replay(recording), RecordedPaths(recording), seed=0)
-    return Walked(place, names, sees, cards, sampled, reference.score(walked))
+    return Walked(place, names, sees, card, sampled, reference.score(walked))
 
 
 __all__ = ["write_walks"]

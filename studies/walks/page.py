@@ -9,12 +9,11 @@ from crowdbench.report.text.words import NOTHING, interval, named, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.ranking import metric_scores, rows, scale_of
 from crowdbench.scoring.score import ranks
-from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard
+from crowdbench.scoring.scorecard import PairResult, Scorecard
 from studies.markdown import flowed, table
 from studies.results.page import of_recording
 from studies.results.tables import distance_table, gated
 
-_NAMES: dict[Protocol, str] = {"full": "Full", "heldout": "Held out"}
 _FAMILIES = ("trips", *WALK)
 _ENDS = ("goal", "exit", "timeout")
 FAR = 0.01
@@ -30,8 +29,8 @@ class Walked:
     """Display name of each policy."""
     sees: dict[str, str]
     """Input of each policy, `observation` or `state`."""
-    cards: dict[Protocol, Scorecard]
-    """Scorecards under the recorded arrivals, by protocol."""
+    card: Scorecard
+    """Held-out scorecard under the recorded arrivals."""
     sampled: Scorecard
     """Scorecard under arrivals of a spawn model that is fitted to the whole recording."""
     rule: dict[str, MetricResult]
@@ -54,7 +53,7 @@ a policy. `docs/metrics.md` explains how to read a table of scores. The column *
 of a policy: *observation*, that of an agent in the environment, including its rays, or *state*, the
 positions, velocities and goals of all people (random uses none of it).
 
-Generated with crowdbench {first.cards["full"].crowdbench} by
+Generated with crowdbench {first.card.crowdbench} by
 
 ```sh
 {shlex.join(words)}
@@ -67,16 +66,17 @@ Generated with crowdbench {first.cards["full"].crowdbench} by
 def _scene(walked: Walked) -> str:
     scene = walked.scene
     parts = [f"## {scene.title} ({scene.id})", of_recording(scene)]
-    parts += [f"### {_NAMES[p]}\n\n{scores(walked, card)}" for p, card in walked.cards.items()]
     parts += [
-        f"### Distances, {_NAMES[p].lower()}\n\n{_distances(walked, card)}"
-        for p, card in walked.cards.items()
+        f"### Scores, held out\n\n{scores(walked, walked.card)}",
+        f"### Distances, held out\n\n{distance_table(walked.card, _FAMILIES, walked.names)}",
+        f"### Do they arrive?\n\n{_lives(walked)}",
+        _rule(walked),
     ]
-    parts += [f"### Do they arrive?\n\n{_lives(walked)}", _rule(walked)]
     parts += [
         f"### Dwell times\n\n![Dwell times](walks/{scene.id}-dwell.png)",
-        "Share of people who stay longer, all rollouts under the recorded arrivals pooled. Grey "
-        "band: 95 % of resamples of the recording’s time blocks.",
+        "Share of people who stay longer, in one rollout of each policy under the recorded "
+        "arrivals. Networks were trained on the whole recording. Grey band: 95 % of resamples of "
+        "the recording’s time blocks.",
     ]
     return "\n\n".join(parts)
 
@@ -118,15 +118,11 @@ def _unscored(walked: Walked, card: Scorecard, scored: set[str]) -> list[str]:
     ]
 
 
-def _distances(walked: Walked, card: Scorecard) -> str:
-    return distance_table(card, _FAMILIES, walked.names)
-
-
 def _lives(walked: Walked) -> str:
     """Markdown table of arrivals at the goal, mean speeds and dwell times."""
-    full, sampled = walked.cards["full"], walked.sampled
+    sampled = walked.sampled
     spawn = sampled.entries[0].spawn
-    both = (("recorded", full, "replay"), (spawn, sampled, spawn))
+    both = (("recorded", walked.card, "replay"), (spawn, sampled, spawn))
     columns = ("at goal", "speed, m/s", "dwell, W1/mean")
     head = ["policy", *(f"{what} ({arrivals})" for arrivals, _, _ in both for what in columns)]
     lines = []

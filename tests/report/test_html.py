@@ -70,10 +70,10 @@ def card_of(*entries: PairResult, protocol: str = "full", rollouts: int = 30) ->
 
 
 def anchor(spawn: str, policy: str, **changes: object) -> PairResult:
-    """One of the scene's anchors, as if it had been evaluated."""
-    anchors = read_anchors(ETH).protocols["full"].anchors
-    found = next(e for e in anchors if (e.spawn, e.policy) == (spawn, policy))
-    return msgspec.structs.replace(found, **changes)
+    """One of the scene's anchors, as if it had been evaluated; random blocks for other crowds."""
+    anchors = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}
+    found = anchors.get((spawn, policy), anchors["block-replay", "straight"])
+    return msgspec.structs.replace(found, spawn=spawn, policy=policy, **changes)
 
 
 def unscored(entry: PairResult) -> PairResult:

@@ -135,7 +135,7 @@ def test_each_crowd_and_each_anchor_has_its_row_in_both_protocols(
         scores = section(text, "## Scores", head)
         card = read_scorecard(folder / "results" / f"plaza-v0-{protocol}" / "scorecard.json")
         names = [f"{row.spawn} × {row.policy}" for row in rows(card)]
-        assert len(names) == 13
+        assert len(names) == 12
         found = re.findall(r"\| \*?([\w-]+ × [\w-]+)\*? \|", scores)
         assert found[1:] == names  # the first is of the head
 

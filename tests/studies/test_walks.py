@@ -42,21 +42,19 @@ def test_the_command_of_the_page_on_the_plaza(
     asked = pages.arguments("docs/walks.md", "python -m studies walks")
     assert studies_main(["walks", *asked, "--seeds", "2", "--workers", "1"]) == 0
     text = Path("docs/walks.md").read_text()
-    for title in ("Full", "Held out"):
-        head, _, *lines = section(text, title)
-        assert head[:6] == ["policy", "sees", "rank", "walk", "motion", "interaction"]
-        of = {line[0]: line for line in lines}
-        assert set(of) == {"random", "straight", "social-force", "orca"}
-        assert of["straight"][3] == "0.00 [0.00, 0.00]"
-        assert of["social-force"][1:3] == ["state", "1"]
-        assert of["orca"][1] == "state"
+    head, _, *lines = section(text, "Scores, held out")
+    assert head[:6] == ["policy", "sees", "rank", "walk", "motion", "interaction"]
+    of = {line[0]: line for line in lines}
+    assert set(of) == {"random", "straight", "social-force", "orca"}
+    assert of["straight"][3] == "0.00 [0.00, 0.00]"
+    assert of["social-force"][1:3] == ["state", "1"]
+    assert of["orca"][1] == "state"
     assert "No scores" not in text
-    for title in ("Distances, full", "Distances, held out"):
-        head, _, *lines = section(text, title)
-        assert head[-4:] == ["random", "straight", "social-force", "orca"]
-        assert {line[0] for line in lines} == {"trips", "motion", "interaction"}
-        (dwell,) = (line for line in lines if line[1] == "dwell")
-        assert float(dwell[-3].split(" ")[0]) < 0.1
+    head, _, *lines = section(text, "Distances, held out")
+    assert head[-4:] == ["random", "straight", "social-force", "orca"]
+    assert {line[0] for line in lines} == {"trips", "motion", "interaction"}
+    (dwell,) = (line for line in lines if line[1] == "dwell")
+    assert float(dwell[-3].split(" ")[0]) < 0.1
     head, _, *lines = section(text, "Do they arrive?")
     assert head[1] == "at goal (recorded)"
     assert head[4] == "at goal (ntpp-gmm)"
@@ -86,7 +84,7 @@ def test_where_nobody_has_a_score_the_page_has_no_table_but_says_why() -> None:
         scored=list(PLAZA.protocol.scored), gate=PLAZA.gate, scale=scale, entries=entries,
     )  # fmt: skip
     names = {e.policy: e.policy for e in entries}
-    walked = Walked(PLAZA, names, dict.fromkeys(names, "state"), {"full": card}, card, {})
+    walked = Walked(PLAZA, names, dict.fromkeys(names, "state"), card, card, {})
     assert scores(walked, card) == (
         "No scores: straight, recorded-paths, random. Rollouts of each policy: 1. Scores need two."
     )

@@ -1,6 +1,7 @@
-"""The copy index: how much of a crowd's arrivals and trips is copied from the recording.
+"""The copy index: how much of a crowd's arrivals is copied from the recording.
 
 All recordings are public, so a crowd that replays parts of one gets good scores without a model.
+Copied paths are found in `path_copies`.
 
 Arrivals are counted per spawn area and frame (in Grand Central, per 0.8 s of its annotation grid)
 and blurred with (1, 2, 1)/4, so that a copy is still found if each arrival is moved by a frame.
@@ -29,9 +30,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.table import Trajectories
+from crowdbench.leaderboard.verification.path_copies import PathCopies
 from crowdbench.registry import recording_of, spawn_model
 from crowdbench.run.jobs import Job
+from crowdbench.run.judge import TRAJECTORIES
 from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn.perturbed_replay import replays
 
 WINDOW_S = 60.0
 """Shortest window. Where few people arrive it is longer, for `ARRIVALS` arrivals on average."""
@@ -43,9 +47,6 @@ INDEPENDENT = ("poisson-gmm", "renewal-gmm")
 """Models that cannot copy: they know rates and gaps, but not when anyone arrived."""
 DRAWS = 50
 """Number of crowds drawn from each of them."""
-NEAR_M = 0.1
-SHORTEST_S = 4.0
-"""Shorter trips are not compared, since they are similar by chance."""
 
 
 class ArrivalCopies:
@@ -141,64 +142,19 @@ def independent_limit(copies: ArrivalCopies, scene: Scene) -> float | None:
     return float(np.percentile(found, 99)) if found else None
 
 
-class TripCopies:
-    """Finds the trips of a crowd that are copied from a recording."""
-
-    def __init__(self, recorded: Trajectories, scene: Scene) -> None:
-        """Index the recording's trips by their first position and the position 4 s later."""
-        from scipy.spatial import KDTree
-
-        self._recorded = recorded
-        self._frames = max(1, round(SHORTEST_S / scene.dt_s))
-        self._known = _long(recorded, self._frames)
-        self._tree = KDTree(self._ends(recorded, self._known))
-
-    def share(self, crowd: Trajectories) -> float | None:
-        """Share of trips of at least 4 s that stay within 0.1 m of a recorded trip.
-
-        Trips are aligned at their first frames. The recorded trip may be longer, or shorter by up
-        to a tenth. None if there are no such trips.
-        """
-        trips = _long(crowd, self._frames)
-        if len(trips) == 0 or len(self._known) == 0:
-            return None
-        near = self._tree.query_ball_point(self._ends(crowd, trips), NEAR_M, p=np.inf)
-        copied = [self._copied(crowd, int(p), near[k]) for k, p in enumerate(trips)]
-        return float(np.mean(copied))
-
-    def _copied(self, crowd: Trajectories, person: int, candidates: list[int]) -> bool:
-        path = crowd.path(person)
-        for candidate in self._known[candidates].tolist():
-            other = self._recorded.path(candidate)
-            both = min(len(path), len(other))
-            gap = np.linalg.norm(path[:both] - other[:both], axis=1)
-            if both >= 0.9 * len(path) and gap.max() <= NEAR_M:
-                return True
-        return False
-
-    def _ends(
-        self, crowd: Trajectories, persons: Int[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "n 4"]:
-        first = crowd.offsets[:-1][persons]
-        ends = np.concatenate([crowd.xy[first], crowd.xy[first + self._frames]], axis=1)
-        return ends.astype(np.float64)
-
-
-def _long(crowd: Trajectories, frames: int) -> Int[np.ndarray, " n"]:
-    """Indices of the persons who entered and whose trip spans at least `frames` frames."""
-    return np.flatnonzero(crowd.entered & (crowd.last - crowd.first >= frames))
-
-
 def copies_in(job: Job, crowd: Trajectories) -> dict[str, float]:
     """The copy index of a rollout's `arrivals`, and the share of copied `trips`.
 
-    NaN where they are undefined, and for recorded arrivals.
+    NaN where they are undefined: `arrivals` if recorded people enter, `trips` if others do.
     """
-    recorded = job.spawn == "replay"
-    persons = np.flatnonzero(crowd.entered)
-    area = crowd.spawn_area[persons].astype(np.int64)
-    index = None if recorded else arrival_copies(job.scene).index(crowd.spawn_s[persons], area)
-    found = {"arrivals": index, "trips": _trip_copies(job.scene).share(crowd)}
+    index = share = None
+    if not replays(job.spawn):
+        persons = np.flatnonzero(crowd.entered)
+        area = crowd.spawn_area[persons].astype(np.int64)
+        index = arrival_copies(job.scene).index(crowd.spawn_s[persons], area)
+    if job.spawn in ("replay", TRAJECTORIES):
+        share = _path_copies(job.scene).share(crowd)
+    found = {"arrivals": index, "trips": share}
     return {name: np.nan if value is None else value for name, value in found.items()}
 
 
@@ -210,6 +166,6 @@ def arrival_copies(scene: str) -> ArrivalCopies:
 
 
 @lru_cache(maxsize=1)
-def _trip_copies(scene: str) -> TripCopies:
+def _path_copies(scene: str) -> PathCopies:
     place = load_scene(scene)
-    return TripCopies(recording_of(place), place)
+    return PathCopies(recording_of(place), place)

@@ -23,7 +23,7 @@ from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import Limit, Resamples, pack, unpack
 
 SCHEMA: Final = 2
-SCORER = 5
+SCORER = 6
 """Version of the scoring. Any change that alters the scores of an entry increases it; then
 `python -m studies rescore` scores the entries again."""
 
@@ -89,7 +89,8 @@ class Copy(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     arrivals_limit: Number | None
     """99th percentile of `arrivals` for models that cannot copy."""
     trips: Number | None
-    """Share of trips that stay within 0.1 m of a recorded trip."""
+    """Share of trips whose course follows the one that the same person walked in the recording
+    (`path_copies`), under the recorded arrivals; None if nobody walks under them."""
 
 
 class Flag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -136,6 +137,9 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     fails: list[Limit]
     """The limits of the scene's gate that the policy exceeds; its walk score is at most 0 then."""
     families: dict[str, ScoreCard]
+    """The scores that count. Ranked policies are scored under perturbed arrivals."""
+    recorded: dict[str, ScoreCard] = {}
+    """Of a ranked policy, motion and interaction under the recorded arrivals, for comparison."""
     metrics: dict[str, MetricEntry]
     copy: Copy
     curves: dict[str, Curve]
@@ -186,6 +190,9 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     flags: list[Flag]
     exam: ExamEntry | None = None
     """None if nobody was examined, or if the entry has no policy of its own."""
+    key: Annotated[str, Meta(pattern=r"\A[0-9a-f]{0,32}\Z")] = ""
+    """Of a ranked policy, the key of the perturbed arrivals (`perturbed-replay:KEY`), which was
+    drawn when the entry was verified; otherwise empty."""
     history: list[Earlier]
 
 

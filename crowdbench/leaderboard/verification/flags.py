@@ -1,10 +1,11 @@
 """Flags: warnings that readers of an entry should know. They change no score.
 
-Where ways are short and straight, walkers who copy nothing share trips with the recording by
-chance. So the limit of copied trips is that of walkers who cannot copy: they know a person's start,
-goal and speed, but no recorded path. A scene's limit is the largest share among these walkers under
-the recorded arrivals, plus a margin. `python -m studies trip-limits` measures the shares and writes
-`copied_trips.json`. Run it again when a scene, a recording or one of these walkers changes.
+Some trips of walkers who copy nothing follow a recorded path by chance, or because people had
+little choice. So the limit of copied trips is that of walkers who cannot copy: they know a person's
+start, goal and speed, but no recorded path. A scene's limit is the largest share among these
+walkers under the recorded arrivals, plus a margin. `python -m studies trip-limits` measures the
+shares and writes `copied_trips.json`. Run it again when a scene, a recording or one of these
+walkers changes.
 """
 
 from collections.abc import Mapping
@@ -27,7 +28,8 @@ MARGIN = 0.05
 know groups and busy times, come up to 0.02 closer to the recording without copying."""
 TRIP_MARGIN = 0.05
 """Tolerated excess of copied trips. It is more than two standard errors of the measured shares,
-which are at most 0.02 (on Hotel, with about 200 trips). Who memorises copies nearly all trips."""
+which are at most 0.02 (on Hotel, with about 200 trips). Who memorises copies nearly all trips, and
+who disguises this by other means than small warps in time at least 0.3 of them."""
 PATH = Path(__file__).with_name("copied_trips.json")
 
 
@@ -100,9 +102,9 @@ def flags_of(scene: str, score: Score | None, even: float | None, copy: Copy) ->
     # Compared as they are shown: no value is flagged that looks equal to the limit.
     if copy.trips is not None and round(copy.trips, 3) > limit:
         text = (
-            f"{100 * copy.trips:.1f} % of the trips stay within 0.1 m of a recorded trip from "
-            f"beginning to end. Walkers who cannot copy have up to "
-            f"{100 * honest_share(scene):.1f} %; values above {100 * limit:.1f} % are flagged."
+            f"{100 * copy.trips:.1f} % of the trips follow the path that the same person walked in "
+            "the recording, apart from bows, mirroring and delays. Walkers who cannot copy have up "
+            f"to {100 * honest_share(scene):.1f} %; values above {100 * limit:.1f} % are flagged."
         )
         found.append(("copied trips", copy.trips, limit, text))
     return [

@@ -32,6 +32,10 @@ from crowdbench.run.processes import alone_in
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import RECORDED_POLICIES
 from crowdbench.scoring.reference import read_reference
+from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+
+RECORDED = 2
+"""Number of rollouts of a ranked policy under the recorded arrivals, whose scores do not count."""
 
 
 def make_entry(
@@ -42,13 +46,15 @@ def make_entry(
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
     examine: bool = False,
     replace_entry: bool = False,
+    key: str = "",
     known: Mapping[str, tuple[SceneEntry, Sequence[Flag]]] = MappingProxyType({}),
 ) -> Entry:
     """Roll out a submission, score it and return its entry.
 
     `rollouts` is the number per split, by default that of the scene's protocol. `owners` are the
     authors of other entries by id, and `replace_entry` is `replace` of `check_unused`. `examine`
-    puts the policy through the exam.
+    puts the policy through the exam. `key` is that of the perturbed arrivals, under which policies
+    are ranked; nobody may have known it before.
     `known` are results by scene, which are not made again, with their flags.
 
     Raises:
@@ -66,7 +72,7 @@ def make_entry(
     with chdir(given.folder):
         here = replace(given, folder="")
         names = here.declared.scenes
-        planned = {n: _planned(here, n, folder, rollouts) for n in names if n not in known}
+        planned = {n: _planned(here, n, folder, rollouts, key) for n in names if n not in known}
         total, before = sum(len(each.jobs) for each in planned.values()), 0
         with alone_in(folder):
             for name in names:
@@ -91,6 +97,7 @@ def make_entry(
         scenes=scenes,
         flags=flags,
         exam=exam,
+        key=key if any(scene.recorded for scene in scenes.values()) else "",
         history=[],
     )
 
@@ -113,7 +120,9 @@ def _exam(given: Submission) -> ExamEntry | None:
     )
 
 
-def _planned(given: Submission, name: str, folder: Path, rollouts: int | None) -> SceneRollouts:
+def _planned(
+    given: Submission, name: str, folder: Path, rollouts: int | None, key: str
+) -> SceneRollouts:
     place = load_scene(name)
     recording_of(place)  # where it is missing, this is said before any rollout
     reference = read_reference(place)
@@ -125,9 +134,13 @@ def _planned(given: Submission, name: str, folder: Path, rollouts: int | None) -
         return SceneRollouts(place, reference, protocol, crowd, walk, jobs, len(jobs))
     policy = given.policy_of(name)
     crowd = None if track == "walk" else (given.spawn_of(name), policy)
-    walk = None if track == "spawn" else ("replay", policy)
+    recorded = None if track == "spawn" else ("replay", policy)
+    ranked = recorded and given.status == "ranked"
+    walk = (f"{PERTURBED}:{key}", policy) if ranked else recorded
     default = place.protocol.fits * place.protocol.rollouts_per_fit
     seeds = default if rollouts is None else rollouts
     pairs = list(dict.fromkeys(pair for pair in (crowd, walk) if pair is not None))
     jobs = plan(name, place, pairs, protocol, seeds, folder / name)
+    if walk != recorded and recorded is not None:
+        jobs += plan(name, place, [recorded], protocol, RECORDED, folder / name)
     return SceneRollouts(place, reference, protocol, crowd, walk, jobs, seeds)

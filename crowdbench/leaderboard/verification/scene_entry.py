@@ -74,6 +74,11 @@ class SceneRollouts:
         return judge(self.place, self.reference, self.rolled, self.protocol, self.seeds, scale)
 
     @property
+    def recorded(self) -> Pair | None:
+        """The policy under the recorded arrivals; None on track spawn, and for whole crowds."""
+        return None if self.walk is None else ("replay", self.walk[1])
+
+    @property
     def main(self) -> Pair:
         """The pair of models whose persons and rollouts are counted."""
         pair = self.crowd or self.walk
@@ -137,7 +142,7 @@ def scene_entry(rollouts: SceneRollouts) -> tuple[SceneEntry, list[Flag]]:
     standard = gate_standard(card)
     walker = rollouts.results[rollouts.walk or rollouts.main]
     fails = () if rollouts.walk is None else failures(card, walker)
-    copy = _copy(rollouts, [*rolled.values()])
+    copy = _copy(rollouts)
     of_scene = SceneEntry(
         made_from=card.made_from,
         protocol=card.protocol,
@@ -151,6 +156,7 @@ def scene_entry(rollouts: SceneRollouts) -> tuple[SceneEntry, list[Flag]]:
         recorded_at_goal=standard.at_goal,
         fails=list(fails),
         families={name: ScoreCard.of(score) for name, score in families.items()},
+        recorded={name: ScoreCard.of(score) for name, score in _recorded(rollouts).items()},
         metrics=_metrics(rollouts),
         copy=copy,
         curves=_curves(rollouts),
@@ -167,6 +173,15 @@ def _families(rollouts: SceneRollouts) -> dict[str, Score]:
             scores = by_pair[pair].families
             found |= {f: s for f, s in scores.items() if (f in WALK) == of_walking}
     return found
+
+
+def _recorded(rollouts: SceneRollouts) -> dict[str, Score]:
+    """Scores under the recorded arrivals, if others count."""
+    if rollouts.recorded in (None, rollouts.walk):
+        return {}
+    by_pair = {(row.spawn, row.policy): row for row in rows(rollouts.card)}
+    scores = by_pair[rollouts.recorded].families
+    return {family: score for family, score in scores.items() if family in WALK}
 
 
 def _metrics(rollouts: SceneRollouts) -> dict[str, MetricEntry]:
@@ -213,13 +228,14 @@ def _evenness(rollouts: SceneRollouts) -> float | None:
     return evenness(energies, floors)
 
 
-def _copy(rollouts: SceneRollouts, rolled: Sequence[RolloutSummary]) -> Copy:
-    """The copy index, averaged over the rollouts; on track walk of trips only."""
+def _copy(rollouts: SceneRollouts) -> Copy:
+    """The copy index, averaged over the rollouts: of arrivals on other tracks than walk."""
     arrivals, place = rollouts.crowd is not None, rollouts.place
+    everyone = [*rollouts.rolled.values()]
     return Copy(
-        arrivals=_mean([each.measured("arrivals") for each in rolled]) if arrivals else None,
+        arrivals=_mean([each.measured("arrivals") for each in everyone]),
         arrivals_limit=independent_limit(arrival_copies(place.asked), place) if arrivals else None,
-        trips=_mean([each.measured("trips") for each in rolled]),
+        trips=_mean([each.measured("trips") for each in everyone]),
     )
 
 

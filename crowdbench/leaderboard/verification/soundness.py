@@ -6,7 +6,7 @@ from crowdbench.errors import WeightsError
 from crowdbench.leaderboard.submission.errors import plain
 from crowdbench.leaderboard.verification.curves import TITLES
 from crowdbench.leaderboard.verification.entry import HINT, LARGEST, Entry
-from crowdbench.metrics import FAMILIES, METRICS
+from crowdbench.metrics import FAMILIES, METRICS, WALK
 from crowdbench.scene import list_scenes
 
 FAMILY_OF = {metric.name: metric.family for metric in METRICS}
@@ -27,6 +27,7 @@ def check_entry(entry: Entry, where: object) -> None:
         ("scene of a flag", {flag.scene for flag in entry.flags}, entry.scenes),
         ("scene of an exam", set() if entry.exam is None else {entry.exam.scene}, entry.scenes),
         ("family", {name for s in scenes for name in s.families}, FAMILIES),
+        ("recorded family", {name for s in scenes for name in s.recorded}, WALK),
         ("metric", {name for s in scenes for name in s.metrics}, FAMILY_OF),
         ("curve", {name for s in scenes for name in s.curves}, TITLES),
     ):
@@ -34,7 +35,7 @@ def check_entry(entry: Entry, where: object) -> None:
             got = f"an unknown {what}, {plain(ascii(unknown[0]), 80)}"
             expected = f"one of {', '.join(sorted(known))}"
             raise WeightsError(where, got=got, expected=expected, hint=HINT)
-    cards = [card for scene in scenes for card in scene.families.values()]
+    cards = [c for s in scenes for c in (*s.families.values(), *s.recorded.values())]
     lines = [(c.x, c.recorded, c.simulated) for scene in scenes for c in scene.curves.values()]
     tests = [] if entry.exam is None else [*entry.exam.passed, *entry.exam.failed]
     for got, holds, expected in (

@@ -5,6 +5,7 @@ The work is done in child processes with limits, and their answers are validated
 
 import os
 import platform
+import secrets
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -15,7 +16,7 @@ import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import CrowdbenchError, OutputError, WeightsError
-from crowdbench.files import write_json
+from crowdbench.files import write_json, write_text
 from crowdbench.leaderboard.sandbox import isolation
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
 from crowdbench.leaderboard.verification.entry import Entry, check_unused, entry_path, owners_of
@@ -39,7 +40,8 @@ def verify(
 ) -> Verified:
     """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
 
-    The same submission gives the same bytes in `ID.json.gz`; time, memory and machine are in
+    Policies are ranked under perturbed arrivals, whose key is drawn now and written into the entry.
+    The same submission and key give the same bytes in `ID.json.gz`; time, memory and machine are in
     `ID.run.json`. Rollouts stay in `out/work/ID`, so that an interrupted verification can be
     continued. `taken` are the ids of other submissions. With `exam`, the policy is examined. With
     `replace`, an entry with that id by the same authors is overwritten.
@@ -164,6 +166,7 @@ def entry_of(
             "owners": dict(owners),
             "examine": exam,
             "replace_entry": replace,
+            "key": _key_in(work, submission.name),
         },
         Entry,
         where=submission,
@@ -192,6 +195,14 @@ def _refuse_root(submission: Path) -> None:
             hint="Install bubblewrap, or run as another user. In a container that holds nothing "
             f"else, set {isolation.AS_ROOT}=1.",
         )
+
+
+def _key_in(work: Path, submission: str) -> str:
+    """The key of perturbed arrivals for a submission: drawn once, so that work can go on."""
+    path = work / f"{submission}.key"
+    if not path.is_file():
+        write_text(path, secrets.token_hex(16))
+    return path.read_text().strip()
 
 
 def _write(
