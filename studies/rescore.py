@@ -46,7 +46,8 @@ def rescore(
             expected="a newer scorer or a changed submission",
             hint="The scores would be the same.",
         )
-    new, ran = entry_of(submission, out / "work", workers, limits, exam=old.exam is not None)
+    examined = old.exam is not None
+    new, ran = entry_of(submission, out / "work", workers, limits, exam=examined, key=old.key)
     if new.id != entry_id:
         raise SettingError(
             submission, got=f"a submission with the id {new.id}", expected=f"the id {entry_id}"

@@ -1,5 +1,6 @@
 """`crowdbench leaderboard`: verify submissions and show entries."""
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -57,6 +58,7 @@ def verify(
     engine: EngineName = LOCAL,
     exam: bool = False,
     replace: bool = False,
+    key: str = "",
     at_most: SandboxLimits = SandboxLimits(),
 ) -> None:
     """Roll out and score submissions in a sandbox and write their entries.
@@ -65,6 +67,8 @@ def verify(
         submissions: folders of submissions
         exam: also put their policies through the exam (some minutes; it does not rank)
         replace: overwrite entries with the same ids by the same authors
+        key: key of the perturbed arrivals, as in an entry that is verified again (default: a secret
+            one, which is written into the entry)
         out: output folder of ID.json.gz, ID.run.json and the rollouts (work/)
     """
     from crowdbench.leaderboard.verification import verify as verification
@@ -89,6 +93,7 @@ def verify(
             taken=made,
             exam=exam,
             replace=replace,
+            key=_checked_key(key),
         )
         if isinstance(verified, CrowdbenchError):
             raise verified
@@ -122,6 +127,12 @@ def show(entry: str, /) -> None:
     check_entry(known, path)
     print_entry(known)
     _print_details(known)
+
+
+def _checked_key(key: str) -> str:
+    if not re.fullmatch("[0-9a-f]{0,32}", key):
+        raise SettingError("--key", got=repr(key), expected="up to 32 digits of 0-9a-f")
+    return key
 
 
 def in_turn(names: Sequence[str], one: "Callable[[str], Entry]") -> None:

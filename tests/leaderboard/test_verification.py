@@ -29,6 +29,7 @@ from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.policies import Straight
 from crowdbench.progress import heard_by
 from crowdbench.registry import import_recording
+from crowdbench.run.jobs import DRAWS
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.score import LOWEST
@@ -93,7 +94,10 @@ def test_an_entry_has_what_the_track_is_scored_by(walked: tuple[Path, Entry]) ->
     assert (entry.id, entry.status) == ("mine-v2", "ranked")
     scene = entry.scenes["plaza-v0"]
     assert set(scene.families) == {"motion", "interaction"}
-    assert (scene.protocol, scene.fits, scene.rollouts) == ("heldout", 1, 1)
+    assert (scene.protocol, scene.fits, scene.rollouts) == ("heldout", 1, DRAWS)
+    assert set(scene.recorded) == {"motion", "interaction"}
+    assert scene.recorded["motion"].value != scene.families["motion"].value
+    assert re.fullmatch("[0-9a-f]{32}", entry.key)
     speed = scene.metrics["speed"]
     assert speed.scored
     assert set(speed.splits) == {"fold0", "fold1", "fold2"}
@@ -134,7 +138,7 @@ def test_the_command_line_goes_on_after_a_refusal_and_writes_the_same_bytes(
 ) -> None:
     bad = submitted(tmp_path / "bad", "walk", shipped_policy="nobody")
     asked = ["leaderboard", "verify", str(bad), str(walked[0] / "mine"), "--out", str(tmp_path)]
-    assert main([*asked, "--workers", "2"]) == 2
+    assert main([*asked, "--workers", "2", "--key", walked[1].key]) == 2
     printed = capsys.readouterr()
     assert f"crowdbench: {bad}: 1 problem.\n  submission.toml, shipped_policy: got " in printed.err
     assert "'nobody'" in printed.err
@@ -304,7 +308,7 @@ def test_an_answer_that_would_be_written_elsewhere_is_refused(
     forge(msgspec.structs.replace(walked[1], id=name), monkeypatch)
     with pytest.raises(SandboxError, match=r"an answer that cannot be read .*`\$\.id`"):
         verify(walked[0] / "mine", tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []
+    assert not list(tmp_path.rglob("*.json.gz"))
 
 
 def test_an_answer_that_verification_cannot_have_given_is_refused(
@@ -314,7 +318,7 @@ def test_an_answer_that_verification_cannot_have_given_is_refused(
     forge(msgspec.structs.replace(walked[1], scenes=scenes), monkeypatch)
     with pytest.raises(SandboxError, match="an entry with an unknown scene, 'eth-v0'"):
         verify(walked[0] / "mine", tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []
+    assert not list(tmp_path.rglob("*.json.gz"))
 
 
 def test_an_answer_of_anothers_id_is_refused(

@@ -36,6 +36,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LOWEST, Score, total_score
 from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard, read_anchors
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.perturbed_replay import with_key
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +73,6 @@ class SceneRollouts:
         """The scorecard of the rollouts."""
         scale = read_anchors(self.place).protocols[self.protocol]
         return judge(self.place, self.reference, self.rolled, self.protocol, self.seeds, scale)
-
-    @property
-    def recorded(self) -> Pair | None:
-        """The policy under the recorded arrivals; None on track spawn, and for whole crowds."""
-        return None if self.walk is None else ("replay", self.walk[1])
 
     @property
     def main(self) -> Pair:
@@ -176,11 +172,11 @@ def _families(rollouts: SceneRollouts) -> dict[str, Score]:
 
 
 def _recorded(rollouts: SceneRollouts) -> dict[str, Score]:
-    """Scores under the recorded arrivals, if others count."""
-    if rollouts.recorded in (None, rollouts.walk):
+    """Scores under the recorded arrivals, if those under perturbed ones count."""
+    if rollouts.walk is None or with_key(rollouts.walk[0]) is None:
         return {}
     by_pair = {(row.spawn, row.policy): row for row in rows(rollouts.card)}
-    scores = by_pair[rollouts.recorded].families
+    scores = by_pair["replay", rollouts.walk[1]].families
     return {family: score for family, score in scores.items() if family in WALK}
 
 

@@ -37,13 +37,14 @@ def verify(
     taken: Collection[str] = (),
     exam: bool = False,
     replace: bool = False,
+    key: str = "",
 ) -> Verified:
     """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
 
-    Policies are ranked under perturbed arrivals, whose key is drawn now and written into the entry.
-    The same submission and key give the same bytes in `ID.json.gz`; time, memory and machine are in
-    `ID.run.json`. Rollouts stay in `out/work/ID`, so that an interrupted verification can be
-    continued. `taken` are the ids of other submissions. With `exam`, the policy is examined. With
+    Policies are ranked under perturbed arrivals, whose key is drawn now and written into the entry,
+    or is `key`, to verify an entry again. The same submission and key give the same bytes in
+    `ID.json.gz`; time, memory and machine are in `ID.run.json`. Rollouts stay in `out/work/ID`, so
+    that an interrupted verification can be continued. `taken` are the ids of other submissions. With `exam`, the policy is examined. With
     `replace`, an entry with that id by the same authors is overwritten.
 
     Returns:
@@ -58,7 +59,7 @@ def verify(
     """
     owners = owners_of(out) | {name: [] for name in taken}
     verified = entry_of(
-        submission, out / "work", workers, limits, owners, exam=exam, replace=replace
+        submission, out / "work", workers, limits, owners, exam=exam, replace=replace, key=key
     )
     _write(submission, out, verified, owners, replace=replace)
     return verified
@@ -150,11 +151,13 @@ def entry_of(
     *,
     exam: bool = False,
     replace: bool = False,
+    key: str = "",
 ) -> Verified:
     """Verify a submission in a child process; return its entry and the resources used.
 
     `owners` are the authors of other entries by id, see `check_unused` for them and `replace`. With
-    `exam`, its policy is put through the exam.
+    `exam`, its policy is put through the exam. `key` is that of perturbed arrivals, by default a
+    secret one.
     """
     _refuse_root(submission)
     entry, ran = call(
@@ -166,7 +169,7 @@ def entry_of(
             "owners": dict(owners),
             "examine": exam,
             "replace_entry": replace,
-            "key": _key_in(work, submission.name),
+            "key": key or _key_in(work, submission.name),
         },
         Entry,
         where=submission,
