@@ -187,8 +187,8 @@ Among people who never came, no copy comes near to the best honest policy. Hones
 something there, too, social forces most. Each copy that scores well under the recorded arrivals
 has far more copied trips than any honest policy.
 
-The leaderboard ranks under the recorded arrivals still, and flags by positions. Both will change
-with its next scorer.
+The leaderboard ranks policies under perturbed arrivals, with a key that is drawn when a submission
+is judged, and flags copied trips.
 
 This page is the output of `python -m studies copies`."""
 

@@ -44,8 +44,9 @@ def verify(
     Policies are ranked under perturbed arrivals, whose key is drawn now and written into the entry,
     or is `key`, to verify an entry again. The same submission and key give the same bytes in
     `ID.json.gz`; time, memory and machine are in `ID.run.json`. Rollouts stay in `out/work/ID`, so
-    that an interrupted verification can be continued. `taken` are the ids of other submissions. With `exam`, the policy is examined. With
-    `replace`, an entry with that id by the same authors is overwritten.
+    that an interrupted verification can be continued. `taken` are the ids of other submissions.
+    With `exam`, the policy is examined. With `replace`, an entry with that id by the same authors
+    is overwritten.
 
     Returns:
         The entry, and the resources that the child process used.
