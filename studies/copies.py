@@ -30,6 +30,7 @@ from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import read_anchors
 from crowdbench.spawn import Replay
 from crowdbench.spawn.perturbed_replay import GOAL_M, ROOM_M, SPEED, START_M, TIME_S
+from studies import copied_arrivals
 from studies.markdown import flowed, table
 
 Path2 = Float[np.ndarray, "n 2"]
@@ -188,7 +189,7 @@ something there, too, social forces most. Each copy that scores well under the r
 has far more copied trips than any honest policy.
 
 The leaderboard ranks policies under perturbed arrivals, with a key that is drawn when a submission
-is judged, and flags copied trips.
+is judged, and flags copied trips. Copied arrivals are found by what the last table shows.
 
 This page is the output of `python -m studies copies`."""
 
@@ -250,4 +251,4 @@ def page(scenes: Sequence[str]) -> str:
         ]
         head = ["policy", "recorded arrivals", "perturbed arrivals", "copied trips"]
         tables.append(f"## {load_scene(scene).title} ({scene})\n\n{table(head, lines, text=1)}")
-    return flowed(title) + "\n" + "\n\n".join(tables) + "\n"
+    return flowed(title) + "\n" + "\n\n".join([*tables, copied_arrivals.section(scenes)]) + "\n"

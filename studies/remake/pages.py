@@ -9,6 +9,7 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
+from studies.copied_arrivals import MODELS as ARRIVING
 from studies.copies import HONEST as COPIED_BESIDE
 from studies.copies import SCENES as COPIED
 from studies.exam import POLICIES as EXAMINED
@@ -189,6 +190,7 @@ def _comparisons() -> Iterator[Result]:
         "studies.copies",
         {
             scene: [(s, p) for s in ("replay", "perturbed-replay") for p in COPIED_BESIDE]
+            + [(model, "straight") for model in ARRIVING]
             for scene in COPIED
         },
         splits=FULL,

@@ -11,14 +11,25 @@ from entries import made_up
 from numpy.random import default_rng
 
 from crowdbench.data.table import Trajectories
-from crowdbench.leaderboard.verification.copying import ArrivalCopies, independent_limit
-from crowdbench.leaderboard.verification.entry import Copy, Flag, entry_paths, read_entry
+from crowdbench.leaderboard.verification.copying import (
+    COARSE_S,
+    ArrivalCopies,
+    independent_limit,
+)
+from crowdbench.leaderboard.verification.entry import (
+    CoarseCopy,
+    Copy,
+    Flag,
+    entry_paths,
+    read_entry,
+)
 from crowdbench.leaderboard.verification.flags import (
     MARGIN,
     PATH,
     evenness,
     flags_of,
     honest_share,
+    moved_limit,
     trip_limit,
 )
 from crowdbench.registry import recording_of, spawn_model
@@ -27,6 +38,7 @@ from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.plaza import PlazaArrivals
+from studies.copied_arrivals import moved
 from studies.site.standings import with_current_limits
 from studies.trip_limits import HONEST, measure
 
@@ -197,3 +209,35 @@ def test_areas_that_the_place_does_not_have_are_no_error(copies: ArrivalCopies) 
     found = copies.index(times, np.full(400, 99))
     assert found is not None
     assert found < 0.5
+
+
+@pytest.mark.parametrize("by_s", COARSE_S)
+def test_moving_recorded_groups_by_seconds_hides_no_copy(
+    recording: Trajectories, by_s: float
+) -> None:
+    coarse = ArrivalCopies(recording, PLAZA, by_s)
+    most = independent_limit(coarse, PLAZA)
+    assert most is not None
+    flagged = moved_limit(most)
+    in_it = np.flatnonzero(recording.entered)
+    area = recording.spawn_area[in_it].astype(np.int64)
+    group = np.arange(len(in_it))
+    when = moved(recording.spawn_s[in_it], group, by_s, PLAZA.horizon_s, default_rng(1))
+    found = coarse.index(when, area)
+    assert found is not None
+    assert found > flagged
+    for model in ("renewal-gmm", "ntpp-gmm", "block-replay"):
+        assert index(coarse, spawn_model(model, PLAZA), seeds=3) < flagged
+
+
+def test_the_clearest_sign_of_moved_arrivals_is_flagged() -> None:
+    coarse = [
+        CoarseCopy(bin_s=4, index=0.7, limit=0.5),
+        CoarseCopy(bin_s=10, index=0.9, limit=0.5),
+        CoarseCopy(bin_s=20, index=0.95, limit=0.8),
+        CoarseCopy(bin_s=30, index=None, limit=None),
+    ]
+    copy = Copy(arrivals=0.3, arrivals_limit=0.4, coarse=coarse, trips=None)
+    assert raised(copy=copy) == [("copied arrivals", 0.9, 0.667)]
+    frame = msgspec.structs.replace(copy, arrivals=0.9)
+    assert raised(copy=frame) == [("copied arrivals", 0.9, 0.4 + MARGIN)]

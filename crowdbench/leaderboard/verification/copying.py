@@ -22,6 +22,12 @@ Means over rollouts differ more clearly (ETH: at most 0.38 without, at least 0.6
 Block-replay is below 1 because windows overlap the ends of replayed blocks. In the Forum only two
 people arrive in 60 s, and similar pairs of arrivals occur somewhere in ten hours (0.63 for models
 that do not copy). So windows there are as long as ten people take to arrive on average.
+
+Whoever moves each arrival by more than a frame escapes from these windows, but the crowd is still a
+copy, with other noise. So the same is done with counts in bins of 4, 10 and 20 s, in windows of 24
+bins: there, a copy with each group moved by up to as many seconds as a bin has comes near to 1.
+Each window looks for the shift that fits best, so a slow warp of the whole recording hides nothing.
+`python -m studies copies` measures models and copies (docs/trust.md).
 """
 
 from functools import lru_cache
@@ -40,6 +46,12 @@ from crowdbench.spawn.perturbed_replay import replays
 WINDOW_S = 60.0
 """Shortest window. Where few people arrive it is longer, for `ARRIVALS` arrivals on average."""
 ARRIVALS = 10
+COARSE_S = (4.0, 10.0, 20.0)
+"""Coarser bins, in which copies are found whose arrivals were moved by some seconds."""
+BINS = (None, *COARSE_S)
+"""The bins in which arrivals are counted, in seconds; the first ones are those of a frame."""
+WINDOW_BINS = 24
+"""Shortest window in bins, if that is longer."""
 FEWEST = 5
 """Windows with fewer arrivals are skipped."""
 BLUR = np.array([0.25, 0.5, 0.25])
@@ -52,13 +64,14 @@ DRAWS = 50
 class ArrivalCopies:
     """Finds parts of a recording among the arrivals of a crowd."""
 
-    def __init__(self, recorded: Trajectories, scene: Scene) -> None:
-        """Compute the recording's blurred arrival counts."""
+    def __init__(self, recorded: Trajectories, scene: Scene, bin_s: float | None = None) -> None:
+        """Compute the recording's blurred arrival counts; by default in bins of a frame."""
         persons = np.flatnonzero(recorded.entered)
-        self._bin_s = max(scene.dt_s, scene.grid_s)
+        self._bin_s = max(scene.dt_s, scene.grid_s) if bin_s is None else bin_s
         self._bins = int(np.ceil(scene.horizon_s / self._bin_s - 1e-6))
         self._areas = int(recorded.spawn_area.max()) + 2  # the last: no area
-        window_s = max(WINDOW_S, ARRIVALS * scene.horizon_s / max(1, len(persons)))
+        typical_s = ARRIVALS * scene.horizon_s / max(1, len(persons))
+        window_s = max(WINDOW_S, typical_s, WINDOW_BINS * self._bin_s)
         self._length = min(self._bins, round(window_s / self._bin_s))
         at, area = self._placed(recorded.spawn_s[persons], recorded.spawn_area[persons])
         rates = _blurred(self._counts(at, area))
@@ -72,8 +85,8 @@ class ArrivalCopies:
     ) -> float | None:
         """Median over windows of the highest correlation of their arrivals with the recording's.
 
-        Windows follow each other without overlap, and are 60 s long where many people arrive. None
-        if no window has enough arrivals.
+        Windows follow each other without overlap. With bins of a frame, they are 60 s long where
+        many people arrive. None if no window has enough arrivals.
         """
         at, area = self._placed(spawn_s, spawn_area)
         rates = _blurred(self._counts(at, area))
@@ -143,26 +156,31 @@ def independent_limit(copies: ArrivalCopies, scene: Scene) -> float | None:
 
 
 def copies_in(job: Job, crowd: Trajectories) -> dict[str, float]:
-    """The copy index of a rollout's `arrivals`, and the share of copied `trips`.
+    """The copy indices of a rollout's `arrivals`, by `index_name`, and the share of copied `trips`.
 
     NaN where they are undefined: `arrivals` if recorded people enter, `trips` if others do.
     """
-    index = share = None
+    found: dict[str, float | None] = dict.fromkeys((*map(index_name, BINS), "trips"))
     if not replays(job.spawn):
         persons = np.flatnonzero(crowd.entered)
         area = crowd.spawn_area[persons].astype(np.int64)
-        index = arrival_copies(job.scene).index(crowd.spawn_s[persons], area)
+        for bin_s, copies in arrival_copies(job.scene).items():
+            found[index_name(bin_s)] = copies.index(crowd.spawn_s[persons], area)
     if job.spawn in ("replay", TRAJECTORIES):
-        share = _path_copies(job.scene).share(crowd)
-    found = {"arrivals": index, "trips": share}
+        found["trips"] = _path_copies(job.scene).share(crowd)
     return {name: np.nan if value is None else value for name, value in found.items()}
 
 
+def index_name(bin_s: float | None) -> str:
+    """The name of the copy index with these bins in a summary."""
+    return "arrivals" if bin_s is None else f"arrivals in {bin_s:g} s"
+
+
 @lru_cache(maxsize=1)
-def arrival_copies(scene: str) -> ArrivalCopies:
-    """What finds the recorded arrivals of a scene, by its name or folder."""
+def arrival_copies(scene: str) -> dict[float | None, ArrivalCopies]:
+    """What finds the recorded arrivals of a scene, by its name or folder, for each of `BINS`."""
     place = load_scene(scene)
-    return ArrivalCopies(recording_of(place), place)
+    return {bin_s: ArrivalCopies(recording_of(place), place, bin_s) for bin_s in BINS}
 
 
 @lru_cache(maxsize=1)

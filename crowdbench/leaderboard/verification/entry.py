@@ -80,6 +80,15 @@ class MetricEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """The scores of the fits in order, by split."""
 
 
+class CoarseCopy(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The copy index of arrivals that are counted in bins of some seconds."""
+
+    bin_s: Number
+    index: Number | None
+    limit: Number | None
+    """99th percentile of `index` for models that cannot copy."""
+
+
 class Copy(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The copy index: how much of a crowd is copied from the recording."""
 
@@ -88,6 +97,9 @@ class Copy(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     similar window of the recording; None on track walk, where arrivals are the recorded ones."""
     arrivals_limit: Number | None
     """99th percentile of `arrivals` for models that cannot copy."""
+    coarse: list[CoarseCopy] = []
+    """The same in longer bins and windows, where arrivals that were moved by seconds still
+    correlate."""
     trips: Number | None
     """Share of trips whose course follows the one that the same person walked in the recording
     (`path_copies`), under the recorded arrivals; None if nobody walks under them."""

@@ -8,7 +8,13 @@ import numpy as np
 
 from crowdbench.data.storage import read
 from crowdbench.data.table import Trajectories
-from crowdbench.leaderboard.verification.copying import arrival_copies, copies_in, independent_limit
+from crowdbench.leaderboard.verification.copying import (
+    COARSE_S,
+    arrival_copies,
+    copies_in,
+    independent_limit,
+    index_name,
+)
 from crowdbench.leaderboard.verification.curves import (
     AGENTS,
     DISTRIBUTIONS,
@@ -16,6 +22,7 @@ from crowdbench.leaderboard.verification.curves import (
     distribution,
 )
 from crowdbench.leaderboard.verification.entry import (
+    CoarseCopy,
     Copy,
     Curve,
     Flag,
@@ -226,12 +233,24 @@ def _evenness(rollouts: SceneRollouts) -> float | None:
 
 def _copy(rollouts: SceneRollouts) -> Copy:
     """The copy index, averaged over the rollouts: of arrivals on other tracks than walk."""
-    arrivals, place = rollouts.crowd is not None, rollouts.place
-    everyone = [*rollouts.rolled.values()]
+    place, everyone = rollouts.place, [*rollouts.rolled.values()]
+    trips = _mean([each.measured("trips") for each in everyone])
+    if rollouts.crowd is None:
+        return Copy(arrivals=None, arrivals_limit=None, trips=trips)
+    index = {
+        bin_s: (
+            _mean([each.measured(index_name(bin_s)) for each in everyone]),
+            independent_limit(copies, place),
+        )
+        for bin_s, copies in arrival_copies(place.asked).items()
+    }
+    coarse = {bin_s: index[bin_s] for bin_s in COARSE_S}
+    arrivals, limit = index[None]
     return Copy(
-        arrivals=_mean([each.measured("arrivals") for each in everyone]),
-        arrivals_limit=independent_limit(arrival_copies(place.asked), place) if arrivals else None,
-        trips=_mean([each.measured("trips") for each in everyone]),
+        arrivals=arrivals,
+        arrivals_limit=limit,
+        coarse=[CoarseCopy(bin_s=b, index=i, limit=most) for b, (i, most) in coarse.items()],
+        trips=trips,
     )
 
 
