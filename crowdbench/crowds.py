@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.data import storage
 from crowdbench.data.table import Trajectories
 from crowdbench.scene import Scene, load_scene
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
     from crowdbench.spawn.model import Start
 
 
+@checked(
+    "crowdbench.spawn:SpawnModel",
+    "crowdbench.policies:Policy",
+    "crowdbench.spawn.model:Start",
+    "crowdbench.simulation:Settings",
+)
 def rollout(
     scene: str | Path | Scene,
     spawn: "str | SpawnModel",
@@ -52,13 +59,14 @@ def rollout(
 
     Raises:
         SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or recording
-            does not exist or does not fit, or nobody entered.
+            does not exist or does not fit, an argument has a wrong type, or nobody entered.
         ActionError: the policy does not return one finite action per person.
         CapacityError: there are more people than slots.
     """
     from crowdbench import registry
     from crowdbench.run.rollout import rollout as roll_out
 
+    check_seed(seed)
     place = load_scene(scene)
     return roll_out(
         place,
@@ -71,6 +79,7 @@ def rollout(
     )
 
 
+@checked()
 def score(
     scene: str | Path | Scene, crowd: Trajectories, *, against: Trajectories | None = None
 ) -> dict[str, "MetricResult"]:
@@ -105,6 +114,7 @@ def score(
     return score_against(reference, place, crowd, against)
 
 
+@checked()
 def score_rollouts(
     scene: str | Path | Scene, crowds: Sequence[Trajectories], *, recorded_arrivals: bool = False
 ) -> "Scorecard":
@@ -133,6 +143,7 @@ def score_rollouts(
     return judge_crowds(place, reference_of(place), crowds, recorded_arrivals=recorded_arrivals)
 
 
+@checked()
 def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajectories:
     """Read a Parquet or CSV table of trajectories, written by crowdbench or another program.
 

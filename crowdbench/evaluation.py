@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from crowdbench.arguments import checked
 from crowdbench.data.blocks import FOLDS, HELD_OUT, SPLITS
 from crowdbench.data.storage import read_own
 from crowdbench.errors import SettingError
@@ -47,6 +48,7 @@ POLICY = ("straight", "social-force", "anticipate")
 Where `anticipate` was not trained, `anticipate-any` walks."""
 
 
+@checked()
 def evaluate(
     scene: str | Path | Scene,
     *,

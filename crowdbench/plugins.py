@@ -22,6 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
+from crowdbench.arguments import checked
 from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, did_you_mean
 
 Kind = Literal[
@@ -40,6 +41,7 @@ _LIBRARIES = tuple(
 )
 
 
+@checked()
 def register(kind: Kind, name: str, part: Any) -> None:
     """Add a part under a name, in this process and in the workers that it starts from now on.
 

@@ -18,6 +18,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
+from crowdbench.arguments import checked
 from crowdbench.errors import SceneError, did_you_mean
 from crowdbench.files import read_struct
 
@@ -280,6 +281,7 @@ def list_scenes() -> list[str]:
     return sorted(path.parent.name for path in scenes_folder().glob("*/scene.toml"))
 
 
+@checked()
 def load_scene(scene: str | Path | Scene) -> Scene:
     """Load a scene by its id, or from a folder with a `scene.toml`.
 

@@ -9,18 +9,21 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from beartype import beartype
+import numpy as np
+from beartype import BeartypeConf, FrozenDict, beartype
 
 CALLS = 100
 """Number of calls of a function that are checked in a test."""
 _NO_CHECK = "__no_type_check__"  # jaxtyping calls functions with this attribute without checks
+_NUMBERS = FrozenDict({int: int | np.integer, float: float | int | np.floating | np.integer})
+"""Numbers of any kind are as good as Python's."""
 _made: dict[str, int] = {}
 _unchecked: list[Any] = []
 
 
 def check_first_calls(function: Callable[..., object]) -> Callable[..., object]:
     """Check the arguments of a function with beartype, until it has been called often."""
-    checked = beartype(function)
+    checked = beartype(conf=BeartypeConf(hint_overrides=_NUMBERS))(function)
     name = f"{function.__module__}:{function.__qualname__}"
 
     @functools.wraps(function)

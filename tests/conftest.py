@@ -26,8 +26,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 _LOOSE = (
-    *("crowdbench.envs.config", "crowdbench.envs.parallel_env"),
-    *(f"crowdbench.robot.{name}" for name in ("config", "robots", "vector_env")),
+    "crowdbench.envs.config",
+    *(f"crowdbench.envs.{name}" for name in ("parallel_env", "person_env", "reference_rewards")),
+    *(f"crowdbench.robot.{name}" for name in ("config", "env", "robots", "vector_env")),
     "crowdbench.plugins",
     "crowdbench.baselines",
 )

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.arguments import checked
 from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows, integers
 from crowdbench.errors import RecordingError, hinting
 from crowdbench.files import read_bytes, replacing
@@ -59,6 +60,7 @@ class Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             )
 
 
+@checked()
 def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     """Write the table to `path` atomically; equal tables give equal bytes.
 
@@ -90,6 +92,7 @@ def _content(stated: Mapping[str, object], table: "pyarrow.Table") -> str:
     return found.hexdigest()
 
 
+@checked()
 def write_csv(trajectories: Trajectories, path: str | Path) -> None:
     """Write the table to `path` for other programs; the file does not state its time step.
 
@@ -142,6 +145,7 @@ def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None
     return of_table(read_table(path), path, scene=scene, dt_s=dt_s, frames=frames)
 
 
+@checked()
 def read_own(path: str | Path) -> Trajectories:
     """Read a Parquet file that crowdbench wrote, whatever its scene.
 

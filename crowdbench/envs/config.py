@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import logger
 from jaxtyping import Float32, Int, UInt8
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
@@ -46,6 +47,7 @@ class EnvSettings(TypedDict, total=False):
     on_full: OnFull
 
 
+@checked("crowdbench.simulation.state:CrowdState")
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
     """Settings of `parallel_env`, `CrowdEnv`, `SlotEnv` and `CrowdVecEnv`.
@@ -232,8 +234,8 @@ class Seeds:
     """The seeds of an environment's episodes: a given one, then those that are drawn from it."""
 
     def __init__(self, first: int | None = None) -> None:
-        self._first = first
-        self._rng = np.random.default_rng(first)
+        self._first = None if first is None else check_seed(first)
+        self._rng = np.random.default_rng(self._first)
 
     def draw(self) -> int:
         """The seed of the next episode."""

@@ -130,7 +130,12 @@ def checked_actions(where: str, actions: object, n: int) -> Float32[np.ndarray, 
     Raises:
         ActionError: they have another shape or are not finite; `where` names the method.
     """
-    given = np.asarray(actions, np.float32)
+    try:
+        with np.errstate(over="ignore"):
+            given = np.asarray(actions, np.float32)
+    except (TypeError, ValueError):
+        expected = f"finite numbers of shape ({n}, 2)"
+        raise ActionError(where, got="other than numbers", expected=expected) from None
     if given.shape != (n, 2) or not np.isfinite(given).all():
         raise ActionError(
             where,

@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
 from crowdbench import __version__, registry
+from crowdbench.arguments import checked
 from crowdbench.data.recordings.catalogue import source
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Indices, Points, Trajectories
@@ -40,6 +41,7 @@ RECOVERY_S = 1.5
 _DEGREE = 2  # of the polynomials that smooth paths: a constant acceleration is not changed
 
 
+@checked()
 def demonstrations(
     scene: str | Path | Scene,
     *,

@@ -3,7 +3,6 @@
 It adds names, dictionaries and a reward to `Simulation`; all physics is in `Simulation`.
 """
 
-import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
@@ -14,6 +13,7 @@ from jaxtyping import UInt8
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
+from crowdbench.arguments import checked
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.envs.global_state import SIZE as STATE_SIZE
@@ -60,6 +60,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         "is_parallelizable": True,
     }
 
+    @checked("crowdbench.viewer.renderer:RenderMode")
     def __init__(
         self,
         scene: str | Path | Scene,
@@ -135,9 +136,10 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 
         Raises:
             CapacityError: there are more people than slots or ids, unless `on_full` is `drop`.
+            SettingError: `seed` is no integer from 0.
         """
         if seed is not None:
-            self._seeds = Seeds(operator.index(seed))
+            self._seeds = Seeds(seed)
         self._seed = self._seeds.draw()
         simulation = self._simulation
         self._crowd.begin(self._seed)
@@ -324,6 +326,7 @@ parallel_env = CrowdParallelEnv
 """The name by which PettingZoo's users create a parallel environment."""
 
 
+@checked("crowdbench.viewer.renderer:RenderMode")
 def aec_env(
     scene: str | Path | Scene,
     config: EnvConfig | None = None,

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import UInt8
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.data.table import OUTCOMES
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.controlled import ControlledPeople, checked_actions
@@ -45,6 +46,7 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         "render_fps": FPS,
     }
 
+    @checked()
     def __init__(
         self,
         scene: str | Path | Scene,
@@ -93,6 +95,7 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             CapacityError: there are more people than slots, unless `on_full` is `drop`.
             SettingError: nobody enters in several crowds.
         """
+        seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         people = self._people
         if seed is not None:

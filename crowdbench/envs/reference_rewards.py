@@ -6,6 +6,7 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings
 from crowdbench.errors import SettingError
 from crowdbench.registry import policy
@@ -33,6 +34,7 @@ class Earned(NamedTuple):
         return cls(reward / steps if steps else np.nan, of_trips / trips if trips else np.nan)
 
 
+@checked()
 def reference_rewards(
     scene: str | Path | Scene,
     config: EnvConfig | None = None,
@@ -64,6 +66,7 @@ def reference_rewards(
     if not 0 < seconds < np.inf:
         raise SettingError("seconds", got=repr(seconds), expected="a positive number")
     config = EnvConfig.of(EnvCrowd, config, **settings)
+    check_seed(seed)
     return {name: _earned(scene, config, name, seconds, worlds, seed) for name in policies}
 
 

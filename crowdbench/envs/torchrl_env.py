@@ -14,6 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from crowdbench.arguments import checked
 from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
@@ -55,6 +56,7 @@ class CrowdEnv(EnvBase):
 
     batch_locked = True
 
+    @checked()
     def __init__(
         self,
         scene: str | Path | Scene,

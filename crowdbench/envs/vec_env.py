@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import Float32, Int, UInt8
 
+from crowdbench.arguments import checked
 from crowdbench.data.table import OUTCOMES
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.controlled import ControlledPeople, checked_actions
@@ -55,6 +56,7 @@ class CrowdVecEnv(OneObjectVecEnv):
       who are controlled have a black ring.
     """
 
+    @checked()
     def __init__(
         self,
         scene: str | Path | Scene,

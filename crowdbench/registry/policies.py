@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crowdbench import plugins
+from crowdbench.arguments import checked
 from crowdbench.data.blocks import HELD_OUT, SPLITS
 from crowdbench.errors import SettingError
 from crowdbench.policies import (
@@ -139,6 +140,7 @@ def _networks(name: str, scene: Scene) -> Path | None:
     return folder if folder.is_dir() else None
 
 
+@checked()
 def policy(named: str | Policy, scene: str | Path | Scene, split: str = "full") -> Policy:
     """Policy with the given name, or from an ONNX file.
 
@@ -160,6 +162,7 @@ def policy(named: str | Policy, scene: str | Path | Scene, split: str = "full") 
     return policy_source(named, load_scene(scene)).policy(split)
 
 
+@checked()
 def list_policies(scene: str | Path | Scene) -> list[str]:
     """Names of the policies of a scene: built-in, shipped with it, and registered by packages.
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from crowdbench.arguments import checked
 from crowdbench.code import code_hash
 from crowdbench.data.preprocessing import paper_preprocessed
 from crowdbench.data.recordings import catalogue
@@ -40,6 +41,7 @@ _ON_DISK = 8
 _memory: dict[str, Trajectories] = {}
 
 
+@checked()
 def recording(name: str) -> Trajectories:
     """Recording with the given name: an imported one, or a generated one (the plaza's).
 
@@ -70,6 +72,7 @@ def raw_recording_of(scene: Scene) -> Trajectories:
     return paper_preprocessed(crowd)[0] if scene.recording.preprocess else crowd
 
 
+@checked()
 def recording_of(scene: str | Path | Scene) -> Trajectories:
     """Recording of a scene as models and metrics use it.
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from crowdbench import plugins, spawn
+from crowdbench.arguments import checked
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
@@ -126,6 +127,7 @@ def spawn_source(name: str, scene: Scene) -> SpawnSource:
     return SpawnSource(name, scene, base, scenario, fits, own)
 
 
+@checked()
 def spawn_model(
     model: str | spawn.SpawnModel,
     scene: str | Path | Scene,
@@ -199,6 +201,7 @@ def _shipped_fits(model: str, scene: Scene) -> Path:
     return file
 
 
+@checked()
 def list_spawn_models(scene: str | Path | Scene) -> list[str]:
     """Names of the spawn models of a scene: fitted, replayed, and registered by packages.
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from crowdbench.arguments import checked
 from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.policies import Policy
 from crowdbench.registry import DEFAULT_SPAWN
@@ -26,6 +27,7 @@ LONGEST_CROWD_S = 600.0
 REPLAY = "replay"
 
 
+@checked()
 @dataclass(frozen=True, kw_only=True)
 class RobotReward:
     """Weights of the parts of the usual reward of a control period.
@@ -62,6 +64,7 @@ RewardFunction = Callable[["RobotWorlds"], np.ndarray]
 """A reward of one's own: from the worlds after a control period to one number per world, (W,)."""
 
 
+@checked("crowdbench.robot.worlds:RobotWorlds")
 @dataclass(frozen=True, kw_only=True)
 class RobotConfig:
     """Settings of `RobotEnv`, `RobotVectorEnv` and `RobotVecEnv`, which take them as keywords, too.

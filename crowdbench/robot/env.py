@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import UInt8
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.errors import SettingError
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.record import EpisodeRecorder, RobotEpisode
@@ -45,6 +46,7 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
         "render_fps": 10,
     }
 
+    @checked()
     def __init__(
         self,
         scene: str | Path | Scene,
@@ -78,7 +80,12 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; with a seed, among a new crowd. `options` are ignored."""
+        """Begin an episode; with a seed, among a new crowd. `options` are ignored.
+
+        Raises:
+            SettingError: `seed` is no integer from 0.
+        """
+        seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         if seed is not None or not self._begun:
             first = int(self.np_random.integers(2**31)) if seed is None else seed

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple, get_args
 
+from crowdbench.arguments import checked
 from crowdbench.errors import SettingError, did_you_mean
 
 Kinematics = Literal["holonomic", "unicycle", "bicycle"]
@@ -26,6 +27,7 @@ class Limits(NamedTuple):
     max_steer: float
 
 
+@checked()
 @dataclass(frozen=True, kw_only=True)
 class Robot:
     """A robot: a disc that drives, with limits of speed and acceleration.

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import UInt8
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.envs.one_object import OneObjectVecEnv
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.vector_env import pictures_of, row
@@ -33,6 +34,7 @@ class RobotVecEnv(OneObjectVecEnv):
     `ep_rew_mean`, `ep_len_mean` and `success_rate`.
     """
 
+    @checked()
     def __init__(
         self,
         scene: str | Path | Scene,
@@ -61,7 +63,7 @@ class RobotVecEnv(OneObjectVecEnv):
         self._actions = np.zeros((num_envs, 2), np.float32)
         self._collected = np.zeros(num_envs)
         self._made = time.monotonic()
-        self._seed = seed
+        self._seed = None if seed is None else check_seed(seed)
         self._begun = False
         self._pictures: WorldPictures | None = None
         if render_mode is not None:
@@ -75,8 +77,9 @@ class RobotVecEnv(OneObjectVecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Set the seed of the first world from the next `reset` on."""
-        self._seed, self._begun = seed, False
-        return [None if seed is None else seed + k for k in range(self.num_envs)]
+        first = None if seed is None else check_seed(seed)
+        self._seed, self._begun = first, False
+        return [None if first is None else first + k for k in range(self.num_envs)]
 
     def reset(self) -> Any:
         """Begin new episodes in all worlds; the first time, with new crowds."""

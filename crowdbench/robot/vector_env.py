@@ -1,6 +1,5 @@
 """`RobotVectorEnv`: many robot worlds as one vector environment of gymnasium."""
 
-import operator
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
@@ -11,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float32, UInt8
 
+from crowdbench.arguments import check_seed, checked
 from crowdbench.errors import SettingError
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.worlds import RobotWorlds
@@ -46,6 +46,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         "render_fps": 10,
     }
 
+    @checked()
     def __init__(
         self,
         scene: str | Path | Scene,
@@ -135,12 +136,12 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
-            return [operator.index(seed) + k for k in range(self.num_envs)]
+            return [check_seed(seed) + k for k in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise SettingError(
                 "seed", got=f"{len(seed)} seeds", expected=f"one for each of {self.num_envs} worlds"
             )
-        return list(seed)
+        return [None if s is None else check_seed(s) for s in seed]
 
     def step(
         self, actions: np.ndarray

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from crowdbench import plugins
+from crowdbench.arguments import checked
 from crowdbench.errors import SettingError, WorkerError
 from crowdbench.run import ray_executor
 from crowdbench.run.processes import LOCAL, end_with, outcome_of, result_of
@@ -31,6 +32,7 @@ _THREADS = (
 _engine: ContextVar[str] = ContextVar("engine", default=LOCAL)
 
 
+@checked()
 @contextmanager
 def engine(name: str) -> Iterator[None]:
     """Run parallel work elsewhere: `local`, `ray`, or `ray://HOST:PORT`.

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit, prange
 
+from crowdbench.arguments import checked
 from crowdbench.compilation import Kernel
 from crowdbench.errors import OwnCodeError, SettingError
 from crowdbench.plugins import blaming
@@ -29,6 +30,7 @@ APART_M = 1.0
 """Distance beyond `TOGETHER_M` at which the cost is half of its maximum."""
 
 
+@checked()
 @dataclass(frozen=True)
 class Reward:
     """Weights of the parts of a person's reward in a step of dt seconds.
