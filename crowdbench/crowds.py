@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.arguments import check_seed, checked
 from crowdbench.data import storage
 from crowdbench.data.table import Trajectories
+from crowdbench.errors import check_seed, checked
 from crowdbench.scene import Scene, load_scene
 
 if TYPE_CHECKING:

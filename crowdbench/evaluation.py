@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.arguments import checked
 from crowdbench.data.blocks import FOLDS, HELD_OUT, SPLITS
 from crowdbench.data.storage import read_own
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, checked
 from crowdbench.files import unwritable, write_json
 from crowdbench.metrics import METRICS
 from crowdbench.plugins import add_metric

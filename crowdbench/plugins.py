@@ -22,8 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
-from crowdbench.arguments import checked
-from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, did_you_mean
+from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, checked, did_you_mean
 
 Kind = Literal[
     "metrics", "spawn_models", "policies", "recordings", "observations", "controllers"

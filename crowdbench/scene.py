@@ -18,8 +18,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
-from crowdbench.arguments import checked
-from crowdbench.errors import SceneError, did_you_mean
+from crowdbench.errors import SceneError, checked, did_you_mean
 from crowdbench.files import read_struct
 
 SCHEMA = 1

@@ -9,9 +9,12 @@ said not to have been tried.
 
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path
 
+import kill_runs
 import pytest
 
 HERE = Path(__file__).parent
@@ -30,10 +33,12 @@ KINDS: dict[str, Sequence[str]] = {
         "test_files.py", "data/test_storage.py", "test_full_disk.py",
     ),
     "numbers: huge, negative, not finite": ("cli/test_hostile_numbers.py",),
-    "processes that are killed": ("run/test_kill_runs.py",),
+    "arguments of wrong types, of the whole Python interface": ("test_arguments.py",),
     "a node that dies": ("run/test_ray_executor.py",),
 }  # fmt: skip
 """The tests of each kind of attack."""
+KILLS = 100
+"""Number of evaluations and verifications that are killed at random moments."""
 
 
 @dataclass
@@ -61,10 +66,27 @@ class Counting:
             self.found.held += 1
 
 
+def killed() -> Tried:
+    """Kill runs, and look for what they leave behind; a fault is printed."""
+    if sys.platform != "linux":  # processes are looked up in /proc
+        return Tried(missing=KILLS)
+    with redirect_stdout(StringIO()) as said:
+        faults = kill_runs.run(kills=KILLS, seeds=2, seed=0)
+    if faults:
+        print(said.getvalue())
+    return Tried(held=KILLS - faults, broken=["tests/kill_runs.py"] * faults)
+
+
 def main() -> int:
     """Run all attacks, and print the table; 1 if one was not held."""
     lines = [("attack", "tried", "held", "not held", "not tried")]
     broken: list[str] = []
+
+    def add(kind: str, found: Tried) -> None:
+        broken.extend(found.broken)
+        tried = found.held + len(found.broken)
+        lines.append((kind, *map(str, (tried, found.held, len(found.broken), found.missing))))
+
     for kind, files in KINDS.items():
         counting = Counting()
         paths = [str(HERE / name) for name in files]
@@ -73,9 +95,8 @@ def main() -> int:
         found = counting.found
         if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
             found.broken.append(f"{kind}: {pytest.ExitCode(code).name}")
-        broken += found.broken
-        tried = found.held + len(found.broken)
-        lines.append((kind, *map(str, (tried, found.held, len(found.broken), found.missing))))
+        add(kind, found)
+    add("evaluations and verifications that are killed", killed())
     print()
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     for line in lines:

@@ -64,7 +64,7 @@ def record(seconds: float = 300.0, *, every_s: float = 6.0, seed: int = 0) -> Tr
 
 
 def write(crowd: Trajectories, layout: str, folder: Path) -> Path:
-    """The crowd as a file, or a folder of files, in one of `own.FORMATS`."""
+    """The crowd as a file, or a folder of files, in one of `formats.FORMATS`."""
     path = folder / f"yard-{layout}{_SUFFIX[layout]}"
     _WRITE[layout](crowd, path)
     return path
@@ -115,6 +115,99 @@ def _forum(crowd: Trajectories, path: Path) -> None:
     path.write_text("\n".join(lines))
 
 
+def rows_of(crowd: Trajectories) -> list[tuple[int, int, float, float]]:
+    """Person, frame, x and y of each row."""
+    ids = crowd.person_id[crowd.row_person()].tolist()
+    xy = crowd.xy.astype(np.float64).round(4).tolist()
+    return [(p, f, x, y) for p, f, (x, y) in zip(ids, crowd.row_frame().tolist(), xy, strict=True)]
+
+
+def _frame_ped_xy(crowd: Trajectories, path: Path) -> None:
+    """Every tenth frame of a video, in the order of time."""
+    rows = sorted((10 * f, p, x, y) for p, f, x, y in rows_of(crowd))
+    path.write_text("".join(f"{f}.0\t{p}.0\t{x}\t{y}\n" for f, p, x, y in rows))
+
+
+def _vsp(crowd: Trajectories, path: Path) -> None:
+    """A control point in each frame of the scene; rows of the image go down along x."""
+    lines = [f"{len(crowd)} - the number of splines"]
+    for p in range(len(crowd)):
+        way = crowd.path(p).astype(float)
+        lines.append(f"{len(way)} - Num of control points")
+        for k, (x, y) in enumerate(way):
+            column, row = y / PIXEL_M - 360, 288 - x / PIXEL_M
+            frame = 10 * (crowd.first[p] + k)
+            lines.append(f"{column:.3f} {row:.3f} {frame} 90.0 - (2D point, m_id)")
+    path.write_text("\n".join(lines))
+
+
+def _sdd(crowd: Trajectories, path: Path) -> None:
+    """Boxes of 10 by 20 pixels every 12 frames of a video of 30 a second; and a cyclist."""
+    lines = ['99 0 0 10 10 0 0 0 0 "Biker"', '98 0 0 10 10 0 1 0 0 "Pedestrian"']
+    for p, f, x, y in rows_of(crowd):
+        column, row = x / PIXEL_M, y / PIXEL_M
+        box = f"{column - 5:.3f} {row - 10:.3f} {column + 5:.3f} {row + 10:.3f}"
+        lines.append(f'{p} {box} {12 * f} 0 0 0 "Pedestrian"')
+    path.write_text("\n".join(lines))
+
+
+def _sumo(crowd: Trajectories, path: Path) -> None:
+    """Persons and a car by time step."""
+    steps: dict[int, list[str]] = {frame: [] for frame in range(crowd.frames)}
+    for p, f, x, y in rows_of(crowd):
+        steps[f].append(f'<person id="p{p}" x="{x}" y="{y}" speed="1.3" edge="e0"/>')
+    lines = ['<?xml version="1.0"?>', "<fcd-export>"]
+    for frame, persons in steps.items():
+        lines.append(f'<timestep time="{frame * DT_S:.2f}"><vehicle id="v" x="0" y="0"/>')
+        lines += [*persons, "</timestep>"]
+    path.write_text("\n".join([*lines, "</fcd-export>"]))
+
+
+def _vadere(crowd: Trajectories, path: Path) -> None:
+    lines = ["pedestrianId simTime endTime-PID1 startX-PID1 startY-PID1 endX-PID1 endY-PID1"]
+    for p, f, x, y in rows_of(crowd):
+        lines.append(f"{p} {f * DT_S:.2f} {(f + 1) * DT_S:.2f} {x} {y} {x} {y}")
+    path.write_text("\n".join([*lines, ""]))
+
+
+def _hdf5(crowd: Trajectories, path: Path) -> None:
+    import h5py
+
+    kinds = [("id", "i4"), ("frame", "i4"), ("x", "f8"), ("y", "f8"), ("z", "f8")]
+    with h5py.File(path, "w") as file:
+        data = np.array([(*row, 0.0) for row in rows_of(crowd)], dtype=kinds)
+        file.create_dataset("trajectory", data=data).attrs["fps"] = 1 / DT_S
+
+
+def _timed(crowd: Trajectories) -> list[tuple[int, float, float, float]]:
+    """Person, time, x and y every half frame: PedPy takes whole numbers of rows per second."""
+    found = []
+    for p, person in enumerate(crowd.person_id.tolist()):
+        way, first = crowd.path(p).astype(np.float64), int(crowd.first[p])
+        half = np.arange(0, len(way) - 0.75, 0.5)
+        x, y = (np.interp(half, np.arange(len(way)), way[:, k]).round(4).tolist() for k in (0, 1))
+        times = ((first + half) * DT_S).round(2).tolist()
+        found += [(person, *row) for row in zip(times, x, y, strict=True)]
+    return found
+
+
+def _viswalk(crowd: Trajectories, path: Path) -> None:
+    lines = ["$VISION", "* a comment", "$PEDESTRIAN:NO;SIMSEC;COORDCENTX;COORDCENTY"]
+    lines += [f"{p};{t};{x};{y}" for p, t, x, y in _timed(crowd)]
+    path.write_text("\n".join([*lines, ""]))
+
+
+def _pathfinder(crowd: Trajectories, path: Path) -> None:
+    lines = ["name,id,t,x,y", ",,s,m,m"]
+    lines += [f"someone,{p},{t},{x},{y}" for p, t, x, y in _timed(crowd)]
+    path.write_text("\n".join([*lines, ""]))
+
+
+def _crowdit(crowd: Trajectories, path: Path) -> None:
+    rows = [f"{p},{t},{x},{y}" for p, t, x, y in _timed(crowd)]
+    path.write_text("\n".join(["pedID,time,posX,posY", *rows, ""]))
+
+
 _WRITE = {
     "obsmat": _obsmat,
     "gc": _gc,
@@ -122,6 +215,15 @@ _WRITE = {
     "csv": write_csv,
     "trajnet": write_trajnet,
     "jupedsim": write_jupedsim,
+    "frame-ped-xy": _frame_ped_xy,
+    "vsp": _vsp,
+    "sdd": _sdd,
+    "sumo": _sumo,
+    "vadere": _vadere,
+    "hdf5": _hdf5,
+    "viswalk": _viswalk,
+    "pathfinder": _pathfinder,
+    "crowdit": _crowdit,
 }
 _SUFFIX = {
     "obsmat": ".txt",
@@ -130,6 +232,18 @@ _SUFFIX = {
     "csv": ".csv",
     "trajnet": ".ndjson",
     "jupedsim": ".txt",
+    "frame-ped-xy": ".txt",
+    "vsp": ".vsp",
+    "sdd": ".txt",
+    "sumo": ".xml",
+    "vadere": ".traj",
+    "hdf5": ".h5",
+    "viswalk": ".pp",
+    "pathfinder": ".csv",
+    "crowdit": ".csv",
 }
-SAID = {"obsmat": DT_S, "csv": DT_S}
+PIXEL_M = 0.02
+"""Size of a pixel in the formats that have pixels and leave open what they are."""
+SCALES = {"vsp": PIXEL_M, "sdd": PIXEL_M}
+SAID = {"obsmat": DT_S, "csv": DT_S, "frame-ped-xy": DT_S}
 """Seconds from row to row that must be told; other formats say them."""

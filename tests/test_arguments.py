@@ -10,9 +10,8 @@ import pytest
 
 import crowdbench
 from crowdbench import CrowdbenchError
-from crowdbench.arguments import check_seed, checked
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import ActionError, SettingError
+from crowdbench.errors import ActionError, SettingError, check_seed, checked
 from crowdbench.metrics import METRICS
 
 HOSTILE = [

@@ -159,10 +159,10 @@ def convert(table: Path, /, *, to: Written, out: Path, how: OwnFile = OwnFile())
         to: format to write
         out: file to write
     """
-    from crowdbench.data.recordings.own import WRITERS, read_recording
+    from crowdbench.data.recordings.formats import WRITERS, read_recording
 
     read = asdict(how) | {"layout": how.layout or "csv"}
-    crowd = read_recording(table, name=table.stem, resample=False, **read)
+    crowd = read_recording(table, name=table.stem, at_frames=False, **read)
     WRITERS[to](crowd, out)
     for name, fact in repairs(crowd, how).items():
         print(f"{name}: {fact}")

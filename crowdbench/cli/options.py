@@ -1,6 +1,7 @@
 """Parameters that several commands have, with their help texts."""
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
@@ -36,7 +37,9 @@ class OwnFile:
     layout: Annotated[str | None, Parameter("--format")] = None
     """format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand Central
     and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: TrajNet++;
-    jupedsim: format that PedPy reads; or a format of an installed package"""
+    frame-ped-xy: text of TrajNet and Social GAN; jupedsim: text or SQLite of JuPedSim and PedPy;
+    sumo: SUMO's FCD; vsp: UCY's splines; sdd: Stanford Drone Dataset; with PedPy: vadere, hdf5,
+    viswalk, pathfinder, crowdit; or a format of an installed package"""
     dt_s: float | None = None
     """time between two rows of a person in seconds, if the file does not state it"""
     gaps: Gaps | None = None
@@ -44,6 +47,12 @@ class OwnFile:
     also interpolate rows that lie between frames (default: reject such files)"""
     offset_s: float | None = None
     """time_s of the first frame of a table, in seconds (default: 0)"""
+    scale: float | None = None
+    """metres per unit of the positions in the file, such as 0.01 for centimetres"""
+    homography: Path | None = None
+    """text file with the 3 × 3 matrix that maps the positions in the file to metres"""
+    resample: float | None = None
+    """interpolate rows at any times to frames of so many seconds"""
 
     def given(self) -> list[str]:
         """The options that were given."""

@@ -7,6 +7,7 @@ in each row, so that any tool can read the file without a join; Parquet compress
 import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +15,13 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.arguments import checked
 from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows, integers
-from crowdbench.errors import RecordingError, hinting
+from crowdbench.errors import RecordingError, checked, hinting
 from crowdbench.files import read_bytes, replacing
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     import pyarrow
 
 SCHEMA = 1
@@ -203,7 +205,8 @@ def of_table(
 def columns_of(table: "pyarrow.Table", path: Path) -> dict[str, np.ndarray]:
     """The columns of a table that `read` understands, by name, with one value per row.
 
-    `person_id` and `frame` are integers.
+    `person_id` and `frame` are integers; ids that are text are numbered in the order in which they
+    first occur.
 
     Raises:
         RecordingError: the table lacks a column, or holds values that are not numbers.
@@ -231,6 +234,8 @@ def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
     if table.column_names.count(name) > 1:
         raise RecordingError(path, got=f"more than one column {name}", expected="only one")
     values = table.column(name)
+    if name == "person_id" and _is_text(values.type):
+        values = values.dictionary_encode().combine_chunks().indices
     if values.null_count:
         first = int(values.is_null().to_numpy().argmax()) + 1
         raise RecordingError(
@@ -283,7 +288,7 @@ def read_table(path: Path) -> "pyarrow.Table":
     from pyarrow import csv, parquet
 
     data = pa.BufferReader(read_bytes(path, RecordingError, _HINT))
-    readers = {".parquet": parquet.read_table, ".csv": csv.read_csv}
+    readers = {".parquet": parquet.read_table, ".csv": partial(_read_csv, csv)}
     suffix = path.suffix.lower()
     if suffix not in readers:
         raise RecordingError(
@@ -293,11 +298,32 @@ def read_table(path: Path) -> "pyarrow.Table":
         )
     try:
         table = readers[suffix](data)
-    except (pa.ArrowException, OSError) as error:
+        names = [name.strip() for name in table.column_names]
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         got = str(error).splitlines()[0]
         raise RecordingError(path, got=got, expected="a readable table") from error
-    named = table.rename_columns([name.strip() for name in table.column_names])
+    named = table.rename_columns(names)
     return named.replace_schema_metadata(table.schema.metadata)
+
+
+def _is_text(kind: "pyarrow.DataType") -> bool:
+    import pyarrow as pa
+
+    return pa.types.is_string(kind) or pa.types.is_large_string(kind)
+
+
+def _read_csv(csv: "ModuleType", data: "pyarrow.BufferReader") -> "pyarrow.Table":
+    """A table with commas, semicolons or tabs; with semicolons, decimals may have commas."""
+    head, _, rest = data.read(1 << 16).partition(b"\n")
+    data.seek(0)
+    by = next((c for c in ",;\t" if c.encode() in head), ",")
+    if by == "," or b"," not in rest:
+        return csv.read_csv(data, parse_options=csv.ParseOptions(delimiter=by))
+    return csv.read_csv(
+        data,
+        parse_options=csv.ParseOptions(delimiter=by),
+        convert_options=csv.ConvertOptions(decimal_point=","),
+    )
 
 
 def own_metadata(table: "pyarrow.Table", path: Path) -> Metadata | None:

@@ -9,8 +9,7 @@ import numpy as np
 from gymnasium import logger
 from jaxtyping import Float32, Int, UInt8
 
-from crowdbench.arguments import check_seed, checked
-from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.errors import SettingError, check_seed, checked, did_you_mean
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
 from crowdbench.run.episode import begin, check_capacity, check_horizon, sample_of, slots_for

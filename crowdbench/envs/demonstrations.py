@@ -16,13 +16,12 @@ from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
 from crowdbench import __version__, registry
-from crowdbench.arguments import checked
 from crowdbench.data.recordings.catalogue import source
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Indices, Points, Trajectories
 from crowdbench.envs.demonstrated_trips import Demonstrations, Rows, pieces_of
 from crowdbench.envs.perturbation import PathPerturbation
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, checked
 from crowdbench.policies import StateView
 from crowdbench.run.episode import begin, check_capacity
 from crowdbench.scene import Scene, load_scene

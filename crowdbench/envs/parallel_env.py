@@ -13,12 +13,11 @@ from jaxtyping import UInt8
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
-from crowdbench.arguments import checked
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.envs.global_state import SIZE as STATE_SIZE
 from crowdbench.envs.global_state import global_state
-from crowdbench.errors import ActionError, SettingError
+from crowdbench.errors import ActionError, SettingError, checked
 from crowdbench.run.episode import Recorder
 from crowdbench.scene import Scene
 from crowdbench.simulation.reward import total

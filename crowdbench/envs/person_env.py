@@ -11,11 +11,10 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import UInt8
 
-from crowdbench.arguments import check_seed, checked
 from crowdbench.data.table import OUTCOMES
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.controlled import ControlledPeople, checked_actions
-from crowdbench.errors import ActionError, SettingError
+from crowdbench.errors import ActionError, SettingError, check_seed, checked
 from crowdbench.policies import Policy, Straight
 from crowdbench.scene import Scene
 from crowdbench.simulation.reward import total

@@ -6,9 +6,8 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from crowdbench.arguments import check_seed, checked
 from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, check_seed, checked
 from crowdbench.registry import policy
 from crowdbench.run.acting import Actor, needs
 from crowdbench.run.episode import generator

@@ -14,10 +14,9 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from crowdbench.arguments import checked
 from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.global_state import global_state
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, checked
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.reward import total

@@ -15,11 +15,11 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import Float32, Int, UInt8
 
-from crowdbench.arguments import checked
 from crowdbench.data.table import OUTCOMES
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.controlled import ControlledPeople, checked_actions
 from crowdbench.envs.one_object import OneObjectVecEnv
+from crowdbench.errors import checked
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene, load_scene

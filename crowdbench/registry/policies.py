@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crowdbench import plugins
-from crowdbench.arguments import checked
 from crowdbench.data.blocks import HELD_OUT, SPLITS
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, checked
 from crowdbench.policies import (
     OnnxPolicy,
     Policy,

@@ -17,13 +17,12 @@ from pathlib import Path
 
 import msgspec
 
-from crowdbench.arguments import checked
 from crowdbench.code import code_hash
 from crowdbench.data.preprocessing import paper_preprocessed
 from crowdbench.data.recordings import catalogue
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import OutputError, RecordingError
+from crowdbench.errors import OutputError, RecordingError, checked
 from crowdbench.files import sha256
 from crowdbench.progress import whole
 from crowdbench.scene import Scene, load_scene

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from crowdbench import plugins, spawn
-from crowdbench.arguments import checked
-from crowdbench.errors import SettingError, WeightsError
+from crowdbench.errors import SettingError, WeightsError, checked
 from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene

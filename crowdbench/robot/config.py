@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from crowdbench.arguments import checked
-from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.errors import SettingError, checked, did_you_mean
 from crowdbench.policies import Policy
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.robot.robots import Robot, robot_of

@@ -8,8 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import UInt8
 
-from crowdbench.arguments import check_seed, checked
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, check_seed, checked
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.record import EpisodeRecorder, RobotEpisode
 from crowdbench.robot.worlds import RobotWorlds

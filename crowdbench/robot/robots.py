@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple, get_args
 
-from crowdbench.arguments import checked
-from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.errors import SettingError, checked, did_you_mean
 
 Kinematics = Literal["holonomic", "unicycle", "bicycle"]
 HOLONOMIC, UNICYCLE, BICYCLE = range(3)

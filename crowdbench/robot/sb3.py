@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import UInt8
 
-from crowdbench.arguments import check_seed, checked
 from crowdbench.envs.one_object import OneObjectVecEnv
+from crowdbench.errors import check_seed, checked
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.vector_env import pictures_of, row
 from crowdbench.robot.worlds import RobotWorlds

@@ -10,8 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float32, UInt8
 
-from crowdbench.arguments import check_seed, checked
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, check_seed, checked
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.worlds import RobotWorlds
 from crowdbench.scene import Scene

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from crowdbench import plugins
-from crowdbench.arguments import checked
-from crowdbench.errors import SettingError, WorkerError
+from crowdbench.errors import SettingError, WorkerError, checked
 from crowdbench.run import ray_executor
 from crowdbench.run.processes import LOCAL, end_with, outcome_of, result_of
 

@@ -6,7 +6,7 @@ scene is left after an error.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from msgspec import structs
@@ -14,7 +14,7 @@ from msgspec import structs
 from crowdbench.data.preprocessing import paper_preprocessed
 from crowdbench.data.recordings import own
 from crowdbench.data.recordings.catalogue import cached
-from crowdbench.data.recordings.mending import Gaps
+from crowdbench.data.recordings.formats import read_recording
 from crowdbench.data.recordings.noise import noise_of
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, SceneError, SettingError
@@ -112,19 +112,17 @@ def create_scene(
     recording: Path,
     *,
     layout: str,
-    dt_s: float | None = None,
-    gaps: Gaps | None = None,
-    offset_s: float | None = None,
     walls: Path | None = None,
     workers: int | None = None,
+    **how: Unpack[own.Reading],
 ) -> Created:
-    """Create a scene from a recording in one of `own.FORMATS`.
+    """Create a scene from a recording in one of `formats.FORMATS`.
 
     The settings are determined from the recording by `rules`. Spawn models are fitted (`ntpp-gmm`
     only if torch is installed), the scored metrics are selected by the power study, and the anchors
     are rolled out. The recording is stored in the user's data under the scene's name
-    without `-vN`. `dt_s` is the time between consecutive rows of a person in seconds. `gaps` and
-    `offset_s` repair small faults; see `own.read_recording`.
+    without `-vN`. `how` are options of `formats.read_recording`, such as `dt_s`, the time between
+    consecutive rows of a person in seconds.
 
     Raises:
         SettingError: a number is invalid, or the recording's name is taken.
@@ -135,14 +133,15 @@ def create_scene(
     own.check_name(new.recording)
     workers = checked_workers(workers)
     with whole("read"):
-        crowd = own.read_recording(
-            recording, layout, name=new.recording, dt_s=dt_s, gaps=gaps, offset_s=offset_s
-        )
+        crowd = read_recording(recording, layout, name=new.recording, **how)
         rules.check_size(crowd, recording)
         scene = _scene(new, crowd, recording, walls)
     # Others need the options that repaired the recording to import it.
-    options = {"--gaps": gaps, "--offset-s": offset_s}
-    given = [f"{option} {value}" for option, value in options.items() if value is not None]
+    given = [
+        f"--{option.replace('_', '-')} {value}"
+        for option, value in how.items()
+        if option != "dt_s" and value is not None
+    ]
     source = " ".join([recording.name, *(["with"] if given else []), *given])
     toml = scene_toml(scene, source=source, walls_file=walls.name if walls else "")
     kept = own.keep(crowd)

@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit, prange
 
-from crowdbench.arguments import checked
 from crowdbench.compilation import Kernel
-from crowdbench.errors import OwnCodeError, SettingError
+from crowdbench.errors import OwnCodeError, SettingError, checked
 from crowdbench.plugins import blaming
 from crowdbench.simulation.contact import AHEAD, HEADWAY_S
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING, CrowdState

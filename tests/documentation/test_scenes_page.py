@@ -7,7 +7,7 @@ import pages
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.data.recordings.own import FORMATS
+from crowdbench.data.recordings.formats import FORMATS
 
 pytestmark = pytest.mark.long
 

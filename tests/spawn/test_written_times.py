@@ -8,7 +8,7 @@ import pytest
 from pyarrow import csv, parquet
 from worlds import Person, events
 
-from crowdbench.data.recordings.own import WRITERS
+from crowdbench.data.recordings.formats import WRITERS
 from crowdbench.data.storage import rounded_s
 from crowdbench.registry import recording
 from crowdbench.spawn.events import SpawnEvents, write_events

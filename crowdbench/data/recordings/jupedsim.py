@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from crowdbench.data.recordings.mending import Stamped
+from crowdbench.data.recordings.text_rows import check_not_swapped
 from crowdbench.data.recordings.timing import plain_positions
 from crowdbench.data.table import Trajectories, integers
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
 
 _SQLITE = b"SQLite format 3\0"
-_RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
+_RATE = re.compile(r"framerate\D*(\d+(?:[.,]\d+)?)")
 _HINT = "PedPy's loaders may describe the problem in more detail."
 
 
@@ -38,7 +39,9 @@ def parse_jupedsim(data: bytes, where: object) -> tuple[Stamped, float | None]:
     if not len(rows):
         raise RecordingError(where, got="no rows", expected="at least one row", hint=_HINT)
     person, frame = (integers(rows[:, k], what, where) for k, what in enumerate(("id", "frame")))
-    stamped = Stamped.of_frames(person, frame, rows[:, 2:4])
+    xy = rows[:, 2:4]
+    check_not_swapped(person, frame, xy, "`id frame x y z`", "--format frame-ped-xy", where)
+    stamped = Stamped.of_frames(person, frame, xy)
     return stamped, None if rate is None else stamped.step / rate
 
 
@@ -73,7 +76,7 @@ def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "
         ) from error
     if "x/cm" in header or "in cm" in header:
         rows[:, 2:] /= 100
-    return float(stated[1]) if stated else None, rows
+    return float(stated[1].replace(",", ".")) if stated else None, rows
 
 
 def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"]]:

@@ -25,6 +25,12 @@ _BESIDE = {"frame": 1e-6, "s": 0.05}
 """A row lies between two frames if it is further than this from a frame, in steps. Frame numbers
 are exact, times are not."""
 _SHOWN = 3
+LONGEST_GAP_S = 2.0
+"""Longest gap that is interpolated. In longer ones people may do anything, and trackers that lose a
+person give the number to another one."""
+_MOST_FILLED = 0.2
+"""Largest number of rows that are interpolated, as a share of the real ones."""
+_FEW_FILLED = 10
 FEW = (
     "If only a few rows are affected, use --gaps interpolate to fill them in linearly, or --gaps "
     "split to split a person into two where rows are missing."
@@ -66,7 +72,7 @@ class Stamped:
     def stamp(self, row: int | np.integer) -> str:
         """The time stamp of a row as text, such as `frame 12` or `4.8 s`."""
         value = self.values[row]
-        return f"frame {value:.0f}" if self.unit == "frame" else f"{value:.10g} s"
+        return f"frame {value:.0f}" if self.unit == "frame" else f"{round(value, 4):.14g} s"
 
     def named(self, row: int | np.integer, at: str = "at") -> str:
         """A row as text, such as `person 3 at frame 12`."""
@@ -131,20 +137,24 @@ class Rows:
         )
 
 
-def on_frames(rows: Stamped, *, gaps: Gaps | None, where: object, hint: str = FEW) -> Rows:
+def on_frames(
+    rows: Stamped, *, gaps: Gaps | None, dt_s: float, where: object, hint: str = FEW
+) -> Rows:
     """Assign rows to the frames of a scene, and repair faults as `gaps` says.
 
     Frame numbers are rounded down, because each person may have a different phase (annotators
     shift it at pauses). Times must be multiples of the step.
 
-    With `interpolate`, missing rows are interpolated linearly. With `split`, the person ends at the
-    gap and continues as another person with a new number. With both, rows between two frames are
+    With `interpolate`, missing rows are interpolated linearly. With `split`, and in gaps longer
+    than 2 s (steps are `dt_s` long), the person ends at the gap and continues as another person
+    with a new number. With both, rows between two frames are
     replaced by positions at the frames, interpolated linearly in time. With None, recordings with
     faults are rejected.
 
     Raises:
         RecordingError: a person has two rows at the same time; or rows are missing or between two
-            frames, and `gaps` is None or most rows are affected.
+            frames, and `gaps` is None, most rows are affected, or more than 20 % would have to be
+            interpolated.
     """
     ticks = rows.ticks()
     if not np.isfinite(ticks).all():
@@ -156,6 +166,10 @@ def on_frames(rows: Stamped, *, gaps: Gaps | None, where: object, hint: str = FE
     ticks, beside = ticks[order], _BESIDE[rows.unit]
     steps, same = np.diff(ticks), np.diff(rows.person) == 0
     twice = np.flatnonzero(same & (steps <= beside)) + 1
+    if (
+        len(twice) and 0 < np.median(steps[same]) < 0.5
+    ):  # rows are closer than --dt-s, not duplicates
+        _refuse_close(rows, steps[same], where)
     if len(twice):
         raise RecordingError(
             where,
@@ -186,12 +200,24 @@ def on_frames(rows: Stamped, *, gaps: Gaps | None, where: object, hint: str = FE
     if ticks.max() - ticks.min() > MAX_FRAMES:  # `from_rows` rejects this
         return _as_they_are(rows, order)
     faulty = np.isin(rows.person, np.r_[rows.person[1:][wrong], rows.person[astray]])
-    return _mended(rows, order, faulty, gaps)
+    return _mended(rows, order, faulty, gaps, LONGEST_GAP_S / dt_s, where)
 
 
 def _as_they_are(rows: Stamped, order: Int[np.ndarray, " R"]) -> Rows:
     frame = np.round(rows.ticks()) if rows.unit == "s" else np.floor(rows.ticks())
     return Rows(rows.person, frame.astype(np.int64), rows.xy, order, {}, {})
+
+
+def _refuse_close(rows: Stamped, steps: Float[np.ndarray, " S"], where: object) -> None:
+    apart = float(np.median(steps))
+    raise RecordingError(
+        where,
+        got=f"rows of a person mostly {rows.long(float(f'{apart:.2g}'))} apart, at irregular times",
+        expected=rows.long(1.0),
+        hint=f"Use --resample {rows.step:g} to interpolate positions every {rows.long(1.0)}."
+        if rows.unit == "s"
+        else "Correct the frame numbers.",
+    )
 
 
 def _refuse_most(
@@ -206,8 +232,8 @@ def _refuse_most(
             where,
             got=f"rows of a person mostly {rows.long(usual / rows.step)} apart",
             expected=rows.long(1.0),
-            hint=f"Use --dt-s {usual:g} if that is right, or resample the trajectories to "
-            f"{rows.long(1.0)}."
+            hint=f"Use --dt-s {usual:g} if that is right, or --resample {rows.step:g} to "
+            f"interpolate positions every {rows.long(1.0)}."
             if rows.unit == "s"
             else "Correct the frame numbers, or --dt-s.",
         )
@@ -222,15 +248,20 @@ def _refuse_most(
             got=f"{rows.named(astray.argmax())} ({astray.sum()} of {len(astray)} rows between "
             f"two frames{by})",
             expected=f"times in multiples of {rows.long(1.0)}",
-            hint=f"Correct --dt-s, or resample the trajectories to {rows.long(1.0)}."
+            hint="Correct --dt-s, or use --resample 0.4 to interpolate positions every 0.4 s."
             if late is None
             else f"Use --offset-s {late * rows.step + rows.origin:.4g} to start the frames at "
             "that time.",
         )
 
 
-def _mended(rows: Stamped, order: Indices, faulty: Flags, gaps: Gaps) -> Rows:
-    """All rows, with those of the `faulty` persons repaired; rows are sorted, see `on_frames`."""
+def _mended(
+    rows: Stamped, order: Indices, faulty: Flags, gaps: Gaps, longest: float, where: object
+) -> Rows:
+    """All rows, with those of the `faulty` persons repaired; rows are sorted, see `on_frames`.
+
+    `longest` is the longest gap that is interpolated, in steps.
+    """
     right, ticks, free = _as_they_are(rows, order), rows.ticks(), int(rows.person.max()) + 1
     pieces = [tuple(each[~faulty] for each in (right.person, right.frame, right.xy, right.source))]
     continued: dict[int, int] = {}
@@ -247,9 +278,11 @@ def _mended(rows: Stamped, order: Indices, faulty: Flags, gaps: Gaps) -> Rows:
         ends = np.flatnonzero(np.diff(at) >= _MISSING)
         words = [rows.named(mine[k], "after") for k in ends]
         if gaps == "interpolate":
-            put_in += int((np.round(np.diff(at)[ends]) - 1).sum())
-            filled += words
-            ends = ends[:0]
+            short = np.diff(at)[ends] <= longest + _BESIDE["s"]
+            put_in += int((np.round(np.diff(at)[ends[short]]) - 1).sum())
+            filled += [word for word, is_short in zip(words, short, strict=True) if is_short]
+            words = [word for word, is_short in zip(words, short, strict=True) if not is_short]
+            ends = ends[~short]
         for piece, part in enumerate(np.split(np.arange(len(mine)), ends + 1)):
             if piece == 0:
                 person = int(rows.person[mine[0]])
@@ -264,6 +297,14 @@ def _mended(rows: Stamped, order: Indices, faulty: Flags, gaps: Gaps) -> Rows:
             number, source = (np.full(len(frame), value) for value in (person, order[mine[0]]))
             xy = interpolated(frame, at[part], rows.xy[mine[part]])
             pieces.append((number, frame.astype(np.int64), xy, source))
+    if put_in > max(_FEW_FILLED, _MOST_FILLED * len(rows.xy)):
+        raise RecordingError(
+            where,
+            got=f"{put_in} missing rows, {100 * put_in / len(rows.xy):.0f} % of the real ones "
+            f"({', '.join(filled[:_SHOWN])})",
+            expected=f"at most {100 * _MOST_FILLED:.0f} % to interpolate",
+            hint="Check the columns and the interval of rows, or use --gaps split.",
+        )
     told = [
         _counted(put_in, "row", "interpolated", filled),
         _counted(len(moved), "row", "moved to frames", moved),

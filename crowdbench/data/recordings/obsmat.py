@@ -40,7 +40,7 @@ def read_obsmat(
         expected = f"positions every {frame_step} frames ({frame_step / fps:g} s at {fps:g} fps)"
         raise RecordingError(where, got=got, expected=expected, hint=_OTHER_INTERVAL)
     rows = replace(rows, step=float(frame_step))
-    whole = on_frames(rows, gaps=None, where=where, hint=_OTHER_INTERVAL)
+    whole = on_frames(rows, gaps=None, dt_s=frame_step / fps, where=where, hint=_OTHER_INTERVAL)
     return with_pauses(whole.crowd(scene=name, dt_s=frame_step / fps, where=where))
 
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from strategies import crowds
 
 from crowdbench.cli import main
+from crowdbench.data.recordings.formats import read_recording
 from crowdbench.data.recordings.jupedsim import parse_jupedsim, write_jupedsim
 from crowdbench.data.recordings.mending import Stamped, on_frames
-from crowdbench.data.recordings.own import read_recording
 from crowdbench.data.recordings.timing import checked_dt_s
 from crowdbench.data.recordings.trajnet import parse_trajnet, write_trajnet
 from crowdbench.data.storage import write_csv
@@ -39,7 +39,7 @@ def scene(fps: float) -> object:
 
 def crowd_in(rows: Stamped, stated_s: float | None, asked_s: float | None) -> Trajectories:
     dt_s = checked_dt_s("here", stated_s, asked_s)
-    whole = on_frames(rows, gaps="interpolate", where="here")
+    whole = on_frames(rows, gaps="interpolate", dt_s=0.4, where="here")
     return whole.crowd(scene="here", dt_s=dt_s, where="here")
 
 
@@ -178,7 +178,7 @@ def test_what_is_written_is_read_again(
     write = {"csv": write_csv, "trajnet": write_trajnet, "jupedsim": write_jupedsim}[layout]
     path = tmp_path_factory.mktemp("crowd") / "crowd.csv"
     write(crowd, path)
-    again = read_recording(path, layout, name="again", dt_s=0.4, resample=False)
+    again = read_recording(path, layout, name="again", dt_s=0.4, at_frames=False)
     of_ids = {p: k for k, p in enumerate(again.person_id.tolist())}
     assert set(of_ids) == set(crowd.person_id.tolist())
     for k, person in enumerate(crowd.person_id.tolist()):
@@ -223,8 +223,8 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
         str(back),
     ]
     assert main(asked) == 0
-    crowd = read_recording(back, "csv", name="back", dt_s=0.4, resample=False)
-    other = read_recording(here, "jupedsim", name="here", resample=False)
+    crowd = read_recording(back, "csv", name="back", dt_s=0.4, at_frames=False)
+    other = read_recording(here, "jupedsim", name="here", at_frames=False)
     np.testing.assert_array_equal(crowd.xy, other.xy)
 
 

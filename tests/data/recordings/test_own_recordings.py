@@ -11,7 +11,8 @@ import pytest
 from strategies import crowd_of
 
 from crowdbench.cli import main, options
-from crowdbench.data.recordings.own import FORMATS, WRITERS, import_own, read_recording
+from crowdbench.data.recordings.formats import FORMATS, WRITERS, read_recording
+from crowdbench.data.recordings.own import import_own
 from crowdbench.data.recordings.timing import at_scene_frames
 from crowdbench.data.storage import columns_of, read_table, write_csv, write_parquet
 from crowdbench.data.table import Trajectories
@@ -27,7 +28,14 @@ def yard() -> Trajectories:
 def read(crowd: Trajectories, layout: str, folder: Path, **asked: float) -> Trajectories:
     path = made_up.write(crowd, layout, folder)
     dt_s = asked.get("dt_s", made_up.SAID.get(layout))
-    return read_recording(path, layout, name="yard", dt_s=dt_s)
+    scale = made_up.SCALES.get(layout)
+    return read_recording(path, layout, name="yard", dt_s=dt_s, scale=scale)
+
+
+GRIDS_S = {"forum": 1 / 9, "gc": 0.8, "vadere": 0.1} | dict.fromkeys(
+    ("viswalk", "pathfinder", "crowdit"), 0.2
+)
+"""Seconds between the rows of a file, in which people enter, where these are not 0.4."""
 
 
 @pytest.mark.parametrize("layout", FORMATS)
@@ -37,7 +45,7 @@ def test_a_new_place_is_read_from_every_format(
     found = read(yard, layout, tmp_path)
     assert found.scene == "yard"
     assert found.dt_s == pytest.approx(4 / 9 if layout == "forum" else 0.4)
-    assert found.grid_s == pytest.approx({"forum": 1 / 9, "gc": 0.8}.get(layout, 0.4))
+    assert found.grid_s == pytest.approx(GRIDS_S.get(layout, 0.4))
     assert len(found) >= len(yard) - (2 if layout == "gc" else 0)
     assert abs(found.duration_s - yard.duration_s) < 1.0
     assert abs(int(found.entered.sum()) - int(yard.entered.sum())) <= 2
@@ -151,23 +159,23 @@ def test_an_own_recording_is_found_by_its_name(yard: Trajectories, tmp_path: Pat
     path = made_up.write(yard, "csv", tmp_path)
     with pytest.raises(SettingError, match=r"name of an imported recording.*data import NAME"):
         recording("yard")
-    crowd = import_own("yard", path, "csv", 0.4)
+    crowd = import_own("yard", path, "csv", dt_s=0.4)
     np.testing.assert_array_equal(recording("yard").xy, crowd.xy)
-    import_own("yard", path, "csv", 0.4)  # the same again
+    import_own("yard", path, "csv", dt_s=0.4)  # the same again
 
 
 def test_another_recording_of_that_name_is_refused(yard: Trajectories, tmp_path: Path) -> None:
-    import_own("yard", made_up.write(yard, "csv", tmp_path), "csv", 0.4)
+    import_own("yard", made_up.write(yard, "csv", tmp_path), "csv", dt_s=0.4)
     other = replace(yard, xy=yard.xy + np.float32(1))
     with pytest.raises(SettingError, match="another imported recording of that name"):
-        import_own("yard", made_up.write(other, "csv", tmp_path), "csv", 0.4)
+        import_own("yard", made_up.write(other, "csv", tmp_path), "csv", dt_s=0.4)
     assert recording("yard").xy.max() == yard.xy.max()
 
 
 @pytest.mark.parametrize("name", ["eth", "plaza", "forum-14jul", "../up", "Yard", ""])
 def test_names_that_are_not_the_users_to_give(name: str, tmp_path: Path) -> None:
     with pytest.raises(SettingError, match="a new name of lower-case letters"):
-        import_own(name, tmp_path / "nothing.csv", "csv", 0.4)
+        import_own(name, tmp_path / "nothing.csv", "csv", dt_s=0.4)
 
 
 @pytest.mark.parametrize("layout", FORMATS)
@@ -205,7 +213,7 @@ def test_the_command_imports_an_own_recording(
 
 def test_the_command_line_knows_all_formats(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data", "import", "--help"]) == 0
-    assert set(FORMATS) <= set(re.findall(r"\w+", capsys.readouterr().out))
+    assert set(FORMATS) <= set(re.findall(r"[\w-]+", capsys.readouterr().out))
     assert tuple(WRITERS) == get_args(options.Written)
 
 
@@ -224,8 +232,8 @@ def test_a_format_is_named_by_the_function_that_reads_it(
     assert (crowd.scene, crowd.frames, crowd.provenance["source"]) == ("mine", 9, "mine.csv")
     with pytest.raises(SettingError, match="got the format rows_of_mine:rows, whose frames"):
         read_recording(tmp_path / "mine.csv", "rows_of_mine:rows", name="mine", offset_s=0.4)
-    with pytest.raises(SettingError, match=r"format: got 'cvs'.*Did you mean `csv`"):
-        read_recording(tmp_path / "mine.csv", "cvs", name="mine")
+    with pytest.raises(SettingError, match=r"format: got 'obsmats'.*Did you mean `obsmat`"):
+        read_recording(tmp_path / "mine.csv", "obsmats", name="mine")
 
 
 def test_eth_as_an_own_recording_is_the_published_one(opentraj: Path) -> None:
