@@ -10,7 +10,7 @@ from studies.commands.diagrams import diagrams, moving_picture
 from studies.commands.encounters import encounters
 from studies.commands.figures import figures
 from studies.commands.growth import growth
-from studies.commands.leaderboard import clips, leaderboard, rescore, site, trip_limits
+from studies.commands.leaderboard import clips, copy_limits, leaderboard, rescore, site
 from studies.commands.paper import paper
 from studies.commands.results import results
 from studies.commands.speed import speed
@@ -28,7 +28,7 @@ TRAININGS = (
 CHECKS = (checks.busy_steps, checks.ray_cluster)
 SHOWN = (moving_picture, leaderboard, clips, site)
 app = new_app("python -m studies", "Studies of crowdbench, and the pages of its leaderboard.")
-for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, *SHOWN, rescore, trip_limits):
+for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, *SHOWN, rescore, copy_limits):
     app.command(study)
 
 

@@ -11,7 +11,7 @@ from crowdbench.leaderboard.verification.copying import (
     COARSE_S,
     WINDOW_BINS,
     arrival_copies,
-    independent_limit,
+    independent_limits,
 )
 from crowdbench.leaderboard.verification.flags import MARGIN, moved_limit
 from crowdbench.registry import recording_of, spawn_model
@@ -63,7 +63,7 @@ def measured(scene: Scene) -> list[Row]:
         RecordingError: the recording has not been imported.
     """
     copies = arrival_copies(scene.id)
-    limits = [independent_limit(each, scene) or 0.0 for each in copies.values()]
+    limits = [limit or 0.0 for limit in independent_limits(scene)]
     limits = [limits[0] + MARGIN, *map(moved_limit, limits[1:])]
 
     def row(name: str, drawn: Sequence[tuple[np.ndarray, np.ndarray]]) -> Row:

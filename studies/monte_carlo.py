@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from crowdbench.leaderboard.verification.entry import entry_path, read_entry, shipped_leaderboard
 from crowdbench.metrics import WALK, Metric
 from crowdbench.run.jobs import Pair, plan
 from crowdbench.run.judge import MetricSlice, draws_of, seen_in
@@ -21,13 +22,15 @@ from crowdbench.scoring.energy import RESAMPLES, Embedded, Energy, pair_mean
 from crowdbench.scoring.l1_kernel import l1_distances
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, WALK_ANCHOR, Scale, read_anchors
+from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+from crowdbench.spawn.perturbed_replay import replays
 from studies.markdown import flowed, table
 
 PROTOCOL = "heldout"
 SHARE = 1 / 3
 """The largest ratio of the error of rollouts to that of blocks."""
 SCENES = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
-PAIRS = (("cox-plans", "straight"), ("cox-plans", "anticipate"), ("replay", "anticipate"))
+PAIRS = (("cox-plans", "straight"), ("cox-plans", "anticipate"), (PERTURBED, "anticipate"))
 """The best models of each track; a better model has smaller errors of blocks."""
 TITLE = """# How many rollouts
 
@@ -39,8 +42,9 @@ larger errors. All intervals contain both errors, so with fewer rollouts they ar
 
 The table has the standard deviations of held-out scores. The error of rollouts follows from how
 much each rollout changes a score, the error of blocks from the resamples of the recording's time
-blocks. *rollouts* is the number of each fit, `rollouts_per_fit` of the protocol; under the recorded
-arrivals (`replay`), where nothing is fitted, it is `walk_rollouts`. *needed* is the number at which
+blocks. *rollouts* is the number of each fit, `rollouts_per_fit` of the protocol; under perturbed
+arrivals, where nothing is fitted, it is `walk_rollouts`. The rollouts are those of the entries of
+the leaderboard. *needed* is the number at which
 their error is a third of that of blocks. This page is the output of
 
 ```sh
@@ -101,7 +105,7 @@ def errors_of(
     seeds = scene.protocol.fits * scene.protocol.rollouts_per_fit
     jobs = plan(scene.asked, scene, [pair], PROTOCOL, seeds, out / "rollouts")
     rolled = roll_out([replace(job, shown=False) for job in jobs], reference, workers, progress)
-    walks = pair[0] == "replay"
+    walks = replays(pair[0])
     of_family: dict[str, list[Influences]] = {}
     for metric in reference.metrics:
         if metric.name in scene.protocol.scored and (metric.family in WALK) == walks:
@@ -181,6 +185,15 @@ def _energy(to_recorded: np.ndarray, between: np.ndarray, *, walks: bool) -> np.
     return np.asarray(to_recorded.mean(axis=(-2, -1)) - spread)
 
 
+def _as_judged(pair: Pair) -> Pair:
+    """The pair with the key of the policy's entry, whose rollouts are then taken."""
+    spawn, policy = pair
+    path = entry_path(shipped_leaderboard() / "entries", policy)
+    if spawn != PERTURBED or not path.is_file():
+        return pair
+    return f"{PERTURBED}:{read_entry(path).key}", policy
+
+
 def page(
     scenes: Sequence[str],
     pairs: Sequence[Pair] = PAIRS,
@@ -194,7 +207,8 @@ def page(
     for name in scenes:
         scene = load_scene(name)
         for pair in pairs:
-            for family, of in errors_of(scene, pair, out / scene.id, workers, progress).items():
+            found = errors_of(scene, _as_judged(pair), out / scene.id, workers, progress)
+            for family, of in found.items():
                 score = f"{of.value:.2f}".replace("-", "−")
                 lines.append([
                     scene.id, " × ".join(pair), family, score, f"{of.per_fit}",

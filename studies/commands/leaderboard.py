@@ -1,4 +1,4 @@
-"""`python -m studies leaderboard`, `clips`, `site`, `rescore`, `trip-limits`: for maintainers."""
+"""`python -m studies leaderboard`, `clips`, `site`, `rescore`, `copy-limits`: for maintainers."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -90,25 +90,27 @@ def rescore(
     in_turn(named, one)
 
 
-def trip_limits(scenes: Sequence[str] = (), /) -> None:
-    """Measure how many trips are like recorded ones without copying; write the flag's limits.
+def copy_limits(scenes: Sequence[str] = (), /) -> None:
+    """Measure how like recorded ones trips and arrivals are without copying; write flags' limits.
 
     Args:
         scenes: ids of scenes (default: all)
     """
+    from crowdbench.leaderboard.verification.copying import independent_limits
     from crowdbench.leaderboard.verification.flags import trip_limit
     from crowdbench.scene import list_scenes, load_scene
-    from studies.trip_limits import HONEST, measure, write
+    from studies.copy_limits import HONEST, measure, write
 
     unknown = sorted(set(scenes) - set(list_scenes()))
     if unknown:
         raise SettingError(
-            "trip-limits",
+            "copy-limits",
             got=f"scene {', '.join(unknown)}",
             expected=f"scenes of crowdbench ({', '.join(list_scenes())})",
         )
-    measured = {name: measure(load_scene(name)) for name in scenes or list_scenes()}
-    path = write(measured)
+    places = {name: load_scene(name) for name in scenes or list_scenes()}
+    measured = {name: measure(place) for name, place in places.items()}
+    path = write(measured, {name: independent_limits(place) for name, place in places.items()})
     rows = [
         (name, *(f"{share:.2%}" for share in shares.values()), f"{trip_limit(name):.1%}")
         for name, shares in measured.items()

@@ -25,7 +25,7 @@ def walks(
         policy: policies in addition to random, straight, social-force and those of each scene
         out: output folder of walks.md and its pictures
         seeds: rollouts of each policy (in each fold). Scores of stochastic policies need at least
-            two rollouts (default: as in the scene's protocol, at most two per fit)
+            two rollouts (default: 2)
     """
     from studies.walks import write_walks
 

@@ -17,6 +17,7 @@ from crowdbench.files import sha256
 from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.submission.models import shipped_class
 from crowdbench.leaderboard.submission.submission import read_submission
+from crowdbench.leaderboard.verification.copying import INDEPENDENT
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.registry import FITTED, GENERATED, PLANNED, WEIGHTS
 from crowdbench.run.jobs import splits_of
@@ -26,8 +27,8 @@ from crowdbench.scene_building.fit import NEURAL
 from crowdbench.scoring.scorecard import BASELINES
 from studies.clips import FILE as CLIPS
 from studies.clips import pair_of, split_of
+from studies.copy_limits import HONEST
 from studies.remake.graph import Result
-from studies.trip_limits import HONEST
 
 AREAS, PLANS = "scenes/{}/areas.json", "scenes/{}/plans.json"
 REFERENCE, ANCHORS_FILE = "scenes/{}/reference.json.gz", "scenes/{}/anchors.json.gz"
@@ -35,7 +36,7 @@ FIT = "scenes/{}/{}"
 ENTRY = "leaderboard/entries/{}.json.gz"
 PEERS = ("leaderboard/entries/jupedsim-*.json.gz", "leaderboard/entries/pysocialforce-*.json.gz")
 COUNTS = "counts.json"
-LIMITS = "crowdbench/leaderboard/verification/copied_trips.json"
+LIMITS = "crowdbench/leaderboard/verification/copy_limits.json"
 PAGES = ("leaderboard/README.md", "leaderboard/index.html")
 
 REAL = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
@@ -63,12 +64,16 @@ def scenes_and_entries() -> list[Result]:
 
 
 def _limits() -> Result:
-    """The shares of copied trips by which the leaderboard flags."""
+    """What the leaderboard flags copied trips and arrivals by."""
     files: dict[str, None] = {}
     facts: dict[str, str] = {}
-    codes = [code_hash("studies.trip_limits", cut=MODELS)]
+    codes = [code_hash("studies.copy_limits", cut=MODELS)]
     for scene in list_scenes():
-        of_models, code = rollouts_of(scene, [("replay", policy) for policy in HONEST], SPLITS[:1])
+        pairs = [
+            *(("replay", policy) for policy in HONEST),
+            *((s, "straight") for s in INDEPENDENT),
+        ]
+        of_models, code = rollouts_of(scene, pairs, SPLITS[:1])
         files |= of_models
         facts |= facts_of(scene)
         codes.append(code)
@@ -76,7 +81,7 @@ def _limits() -> Result:
     return Result(
         "limits",
         (LIMITS,),
-        (("python", "-m", "studies", "trip-limits"),),
+        (("python", "-m", "studies", "copy-limits"),),
         files=tuple(files),
         facts=facts,
     )

@@ -31,7 +31,7 @@ PLAIN = ("random", "straight", "social-force")
 ARRIVALS = "ntpp-gmm"
 """The spawn model for the table of arrivals at the goal, in addition to recorded arrivals."""
 FEW = 2
-"""Number of rollouts with that spawn model: enough for distances, but not for scores."""
+"""Number of rollouts: enough for scores under the recorded arrivals, and for distances."""
 
 
 def write_walks(
@@ -49,7 +49,7 @@ def write_walks(
     Returns the path of the page. The policies are `random`, `straight`, `social-force`, `more`, and
     those that each scene ships. Rollouts are kept in `walks-<scene>-…` of `work`, where a later
     call reuses them. `seeds` is the number of rollouts per policy (and fold), by default the
-    smallest number that gives scores; `workers` and `progress` are those of `evaluate`. Pictures
+    smallest number that gives scores, which entries of the leaderboard have, too; `workers` and `progress` are those of `evaluate`. Pictures
     show one rollout of each policy that is trained on the whole recording.
 
     Raises:
@@ -88,7 +88,7 @@ def _walk(
     walkers = {p: find_policy(p, place) for p in policies}
     names = {p: walker.name for p, walker in walkers.items()}
     sees = {p: str(walker.sees) for p, walker in walkers.items()}
-    seeds = 2 * place.protocol.fits if seeds is None else seeds
+    seeds = FEW if seeds is None else seeds
     reference, folder = reference_of(place), work / f"walks-{place.id}"
 
     def evaluated(spawn: str, protocol: Protocol, seeds: int) -> Scorecard:

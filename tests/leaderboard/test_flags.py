@@ -12,9 +12,10 @@ from numpy.random import default_rng
 
 from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.copying import (
+    BINS,
     COARSE_S,
     ArrivalCopies,
-    independent_limit,
+    independent_limits,
 )
 from crowdbench.leaderboard.verification.entry import (
     CoarseCopy,
@@ -30,6 +31,7 @@ from crowdbench.leaderboard.verification.flags import (
     flags_of,
     honest_share,
     moved_limit,
+    read_limits,
     trip_limit,
 )
 from crowdbench.registry import recording_of, spawn_model
@@ -39,8 +41,8 @@ from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.plaza import PlazaArrivals
 from studies.copied_arrivals import moved
+from studies.copy_limits import HONEST, measure
 from studies.site.standings import with_current_limits
-from studies.trip_limits import HONEST, measure
 
 PLAZA = load_scene("plaza-v0")
 ENTRIES = Path(__file__).parents[2] / "leaderboard" / "entries"
@@ -59,7 +61,7 @@ def copies(recording: Trajectories) -> ArrivalCopies:
 
 @pytest.fixture(scope="module")
 def limit(copies: ArrivalCopies) -> float:
-    found = independent_limit(copies, PLAZA)
+    found = independent_limits(PLAZA)[0]
     assert found is not None
     return found
 
@@ -216,7 +218,7 @@ def test_moving_recorded_groups_by_seconds_hides_no_copy(
     recording: Trajectories, by_s: float
 ) -> None:
     coarse = ArrivalCopies(recording, PLAZA, by_s)
-    most = independent_limit(coarse, PLAZA)
+    most = read_limits().arrivals[PLAZA.id][BINS.index(by_s)]
     assert most is not None
     flagged = moved_limit(most)
     in_it = np.flatnonzero(recording.entered)

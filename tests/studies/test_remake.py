@@ -199,7 +199,7 @@ def test_an_entry_keeps_the_scenes_of_which_nothing_has_changed(desk: Path) -> N
         "settings of eth-v0": "1",
         "recording gc": "1",
         "scenes/gc-v0/policies/bc": "1",
-        "crowdbench/leaderboard/verification/copied_trips.json": "1",
+        "crowdbench/leaderboard/verification/copy_limits.json": "1",
         "code": "1",
     }
 
@@ -212,7 +212,7 @@ def test_an_entry_keeps_the_scenes_of_which_nothing_has_changed(desk: Path) -> N
     assert unchanged(**{"settings of eth-v0": "2"}) == ["gc-v0"]
     assert unchanged(**{"recording gc": "2"}) == ["eth-v0"]
     assert unchanged(**{"scenes/gc-v0/policies/bc": "2"}) == ["eth-v0"]
-    assert unchanged(**{"crowdbench/leaderboard/verification/copied_trips.json": "2"}) == [
+    assert unchanged(**{"crowdbench/leaderboard/verification/copy_limits.json": "2"}) == [
         "eth-v0",
         "gc-v0",
     ]

@@ -143,16 +143,21 @@ def _running(values: Float[np.ndarray, "K T"], length: int) -> Float[np.ndarray,
     return sums[:, length:] - sums[:, :-length]
 
 
-def independent_limit(copies: ArrivalCopies, scene: Scene) -> float | None:
-    """99th percentile of the index for crowds of models that cannot copy; None if undefined."""
-    found = []
+def independent_limits(scene: Scene) -> list[float | None]:
+    """99th percentiles of the index, for each of `BINS`, for crowds of models that cannot copy.
+
+    None where it is undefined. `python -m studies copy-limits` measures those of shipped scenes.
+    """
+    found: list[list[float]] = [[] for _ in BINS]
     for model in INDEPENDENT:
         fitted = spawn_model(model, scene)
         for draw in range(DRAWS):
             events = fitted.sample(scene.horizon_s, scene, np.random.default_rng([99, draw]))
-            index = copies.index(events.time_s, events.spawn_area.astype(np.int64))
-            found += [] if index is None else [index]
-    return float(np.percentile(found, 99)) if found else None
+            area = events.spawn_area.astype(np.int64)
+            for of_bin, copies in zip(found, arrival_copies(scene.asked).values(), strict=True):
+                index = copies.index(events.time_s, area)
+                of_bin += [] if index is None else [index]
+    return [float(np.percentile(of_bin, 99)) if of_bin else None for of_bin in found]
 
 
 def copies_in(job: Job, crowd: Trajectories) -> dict[str, float]:

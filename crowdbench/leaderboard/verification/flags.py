@@ -3,8 +3,8 @@
 Some trips of walkers who copy nothing follow a recorded path by chance, or because people had
 little choice. So the limit of copied trips is that of walkers who cannot copy: they know a person's
 start, goal and speed, but no recorded path. A scene's limit is the largest share among these
-walkers under the recorded arrivals, plus a margin. `python -m studies trip-limits` measures the
-shares and writes `copied_trips.json`. Run it again when a scene, a recording or one of these
+walkers under the recorded arrivals, plus a margin. `python -m studies copy-limits` measures the
+shares and writes `copy_limits.json`. Run it again when a scene, a recording or one of these
 walkers changes.
 """
 
@@ -30,35 +30,37 @@ TRIP_MARGIN = 0.05
 """Tolerated excess of copied trips. It is more than two standard errors of the measured shares,
 which are at most 0.02 (on Hotel, with about 200 trips). Who memorises copies nearly all trips, and
 who disguises this by other means than small warps in time at least 0.3 of them."""
-PATH = Path(__file__).with_name("copied_trips.json")
+PATH = Path(__file__).with_name("copy_limits.json")
 
 
-class MeasuredShares(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The content of `copied_trips.json`."""
+class MeasuredLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The content of `copy_limits.json`."""
 
     command: str
     """The command that writes the file."""
     shares: dict[str, dict[str, float]]
     """Share of copied trips by scene and walker."""
+    arrivals: dict[str, list[float | None]]
+    """By scene, `copying.independent_limits`."""
 
 
 @cache
-def read_shares() -> MeasuredShares:
-    """The measured shares.
+def read_limits() -> MeasuredLimits:
+    """The measured shares and limits.
 
     Raises:
         WeightsError: their file is missing or broken.
     """
-    return read_struct(PATH, MeasuredShares, WeightsError, "Run `python -m studies trip-limits`.")
+    return read_struct(PATH, MeasuredLimits, WeightsError, "Run `python -m studies copy-limits`.")
 
 
 def honest_share(scene: str) -> float:
     """The largest share of copied trips among walkers who cannot copy; 0 if it is not measured.
 
     Raises:
-        WeightsError: the file of shares is missing or broken.
+        WeightsError: the file of limits is missing or broken.
     """
-    return max(read_shares().shares.get(scene, {}).values(), default=0.0)
+    return max(read_limits().shares.get(scene, {}).values(), default=0.0)
 
 
 def trip_limit(scene: str) -> float:

@@ -9,10 +9,10 @@ import numpy as np
 from crowdbench.data.storage import read
 from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.copying import (
+    BINS,
     COARSE_S,
-    arrival_copies,
     copies_in,
-    independent_limit,
+    independent_limits,
     index_name,
 )
 from crowdbench.leaderboard.verification.curves import (
@@ -30,13 +30,13 @@ from crowdbench.leaderboard.verification.entry import (
     SceneEntry,
     ScoreCard,
 )
-from crowdbench.leaderboard.verification.flags import evenness, flags_of
+from crowdbench.leaderboard.verification.flags import evenness, flags_of, read_limits
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
 from crowdbench.run.jobs import Job, Pair
 from crowdbench.run.judge import TRAJECTORIES, MetricSlice, judge, seen_in
 from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.run.summaries import RolloutSummary
-from crowdbench.scene import Scene, load_scene
+from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.ranking import failures, gate_standard, metric_scores, rows, scale_of
 from crowdbench.scoring.reference import Reference
@@ -237,19 +237,16 @@ def _copy(rollouts: SceneRollouts) -> Copy:
     trips = _mean([each.measured("trips") for each in everyone])
     if rollouts.crowd is None:
         return Copy(arrivals=None, arrivals_limit=None, trips=trips)
-    index = {
-        bin_s: (
-            _mean([each.measured(index_name(bin_s)) for each in everyone]),
-            independent_limit(copies, place),
-        )
-        for bin_s, copies in arrival_copies(place.asked).items()
-    }
-    coarse = {bin_s: index[bin_s] for bin_s in COARSE_S}
-    arrivals, limit = index[None]
+    index = [_mean([each.measured(index_name(bin_s)) for each in everyone]) for bin_s in BINS]
+    known = read_limits().arrivals.get(place.id) if place.folder.parent == scenes_folder() else None
+    limits = known or independent_limits(place)
     return Copy(
-        arrivals=arrivals,
-        arrivals_limit=limit,
-        coarse=[CoarseCopy(bin_s=b, index=i, limit=most) for b, (i, most) in coarse.items()],
+        arrivals=index[0],
+        arrivals_limit=limits[0],
+        coarse=[
+            CoarseCopy(bin_s=bin_s, index=i, limit=limit)
+            for bin_s, i, limit in zip(COARSE_S, index[1:], limits[1:], strict=True)
+        ],
         trips=trips,
     )
 

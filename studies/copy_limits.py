@@ -1,9 +1,9 @@
-"""Measures shares of copied trips of walkers who cannot copy, the limits of `copied trips`."""
+"""Measures by how much models that cannot copy are like the recording: the limits of flags."""
 
 from pathlib import Path
 
 from crowdbench.files import write_json
-from crowdbench.leaderboard.verification.flags import PATH, MeasuredShares, read_shares
+from crowdbench.leaderboard.verification.flags import PATH, MeasuredLimits, read_limits
 from crowdbench.leaderboard.verification.path_copies import PathCopies
 from crowdbench.registry import policy, recording_of, spawn_model
 from crowdbench.run.rollout import rollout
@@ -28,14 +28,14 @@ def measure(scene: Scene) -> dict[str, float]:
     return found
 
 
-def write(measured: dict[str, dict[str, float]]) -> Path:
-    """Write the shares of these scenes; those of other scenes are kept. Returns the path."""
-    shares = (read_shares().shares if PATH.is_file() else {}) | measured
-    write_json(
-        PATH,
-        MeasuredShares(
-            command="python -m studies trip-limits", shares=dict(sorted(shares.items()))
-        ),
+def write(shares: dict[str, dict[str, float]], arrivals: dict[str, list[float | None]]) -> Path:
+    """Write the limits of these scenes; those of other scenes are kept. Returns the path."""
+    known = read_limits() if PATH.is_file() else None
+    limits = MeasuredLimits(
+        command="python -m studies copy-limits",
+        shares=dict(sorted(((known.shares if known else {}) | shares).items())),
+        arrivals=dict(sorted(((known.arrivals if known else {}) | arrivals).items())),
     )
-    read_shares.cache_clear()
+    write_json(PATH, limits)
+    read_limits.cache_clear()
     return PATH
