@@ -49,8 +49,9 @@ def write_walks(
     Returns the path of the page. The policies are `random`, `straight`, `social-force`, `more`, and
     those that each scene ships. Rollouts are kept in `walks-<scene>-…` of `work`, where a later
     call reuses them. `seeds` is the number of rollouts per policy (and fold), by default the
-    smallest number that gives scores, which entries of the leaderboard have, too; `workers` and `progress` are those of `evaluate`. Pictures
-    show one rollout of each policy that is trained on the whole recording.
+    smallest number that gives scores, which entries of the leaderboard have, too; `workers` and
+    `progress` are those of `evaluate`. Pictures show one rollout of each policy that is trained on
+    the whole recording.
 
     Raises:
         RecordingError: a recording has not been imported.

@@ -137,6 +137,8 @@ def test_limits_are_measured_on_all_scenes_and_again_give_the_same() -> None:
     assert all(tuple(sorted(each)) == tuple(sorted(HONEST)) for each in shares.values())
     # Another processor rounds otherwise, and the crowd of social-force is chaotic.
     assert measure(PLAZA) == pytest.approx(shares["plaza-v0"], abs=0.01)
+    assert independent_limits(PLAZA) == pytest.approx(read_limits().arrivals["plaza-v0"], abs=0.01)
+    assert set(read_limits().arrivals) == set(list_scenes())
 
 
 def test_a_third_of_a_recording_is_flagged_in_all_real_places() -> None:
