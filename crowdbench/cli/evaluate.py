@@ -100,7 +100,13 @@ def evaluate(
 
 
 def score(
-    scene: SceneName, tables: list[Path], /, *, recorded_arrivals: bool = False, json: Json = None
+    scene: SceneName,
+    tables: list[Path],
+    /,
+    *,
+    recorded_arrivals: bool = False,
+    classifier: bool = False,
+    json: Json = None,
 ) -> None:
     """Compare the trajectories of any simulator with a scene's recording.
 
@@ -108,6 +114,8 @@ def score(
         tables: CSV or Parquet with person_id, frame (or time_s), x, y; several files are rollouts
             of one simulator and get scores
         recorded_arrivals: people enter at the recorded times and places: score how they walk
+            (needs the recording)
+        classifier: also print how well a classifier tells people who walk from the recorded ones
             (needs the recording)
     """
     from crowdbench.report.text.notes import missing_notes
@@ -123,6 +131,8 @@ def score(
     read_in = [crowdbench.read(table, place) for table in tables]
     for table, crowd in zip(tables, read_in, strict=True):
         check_fits(crowd, place, table)
+    if classifier:
+        _print_classifier(place, tables, read_in)
     several = len(tables) > 1 or recorded_arrivals
     with json_written(json) as write:
         if several or json is not None:  # a scene of one's own may have no anchors yet
@@ -135,6 +145,24 @@ def score(
         print_results(crowdbench.score(place, read_in[0]))
         for note in missing_notes(place):
             print_note(note)
+
+
+def _print_classifier(
+    place: "crowdbench.Scene", tables: list[Path], crowds: "list[crowdbench.Trajectories]"
+) -> None:
+    from crowdbench.run.references import discriminator_of
+
+    discriminator = discriminator_of(place)
+    told = [discriminator.auc(crowd) for crowd in crowds]
+    none = "too few windows, or the recording is told from itself"
+    facts = {
+        table.name: none if auc is None else f"{auc.value:.2f} ± {auc.error:.2f}"
+        for table, auc in zip(tables, told, strict=True)
+    }
+    known = [auc for auc in told if auc is not None]
+    if known:
+        facts["recording (control)"] = f"{known[0].control:.2f}"
+    print_facts("AUC of a classifier (0.5: cannot be told from the recording)", facts)
 
 
 def _print_replay(scene: str, out: Path) -> None:

@@ -2,9 +2,12 @@
 
 from dataclasses import replace
 
-from crowdbench.registry import has_recording, recording_of
+from crowdbench.data.recordings.noise import noise_of
+from crowdbench.registry import has_recording, raw_recording_of, recording_of
 from crowdbench.scene import Scene
+from crowdbench.scoring.discriminator import Discriminator
 from crowdbench.scoring.reference import Reference, applicable, read_reference, summarise
+from crowdbench.spawn.events import blocks_of
 
 
 def reference_of(scene: Scene) -> Reference:
@@ -22,6 +25,17 @@ def reference_of(scene: Scene) -> Reference:
         return reference
     found = summarise(recording_of(scene), reference.blocks, reference.place, more)
     return replace(reference, statistics=reference.statistics | found)
+
+
+def discriminator_of(scene: Scene) -> Discriminator:
+    """What tells crowds from the scene's recording.
+
+    Raises:
+        RecordingError: the recording is not imported.
+    """
+    recorded, tick = recording_of(scene), scene.walking.tick_frames
+    noise = noise_of(raw_recording_of(scene), tick)
+    return Discriminator(recorded, noise, blocks_of(recorded, scene), tick)
 
 
 def missing(scene: Scene) -> list[str]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crowdbench.data.recordings.noise import noise_of
+from crowdbench.data.recordings.noise import noise_of, with_noise
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.policies import Policy, Random, RecordedPaths, SocialForce, Straight
@@ -27,7 +27,7 @@ from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.scorecard import Scorecard, read_anchors
 from crowdbench.spawn import Replay
-from studies.cheats.recordings import shifted, smoothed, with_noise
+from studies.cheats.recordings import shifted, smoothed
 from studies.cheats.walkers import MEMORY, WANDER_MPS, Creeper, Runner, Wanderer
 
 SEEDS = 2

@@ -12,38 +12,6 @@ SMOOTHED_TICKS = 3
 SHIFT_S = 5.0
 
 
-def with_noise(
-    crowd: Trajectories, sigma_m: tuple[float, float], tick_frames: int, rng: Generator
-) -> Trajectories:
-    """White noise on the positions at ticks, along and across the paths; linear in between."""
-    noise = rng.standard_normal((len(crowd.xy), 2)) * sigma_m
-    way = _directions(crowd)
-    across = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    offset = noise[:, :1] * way + noise[:, 1:] * across
-    return replace(crowd, xy=(crowd.xy + _at_ticks(crowd, offset, tick_frames)).astype(np.float32))
-
-
-def _directions(crowd: Trajectories) -> np.ndarray:
-    """Unit vector along the path at each row; along x for people who do not move."""
-    person, row = crowd.row_person(), np.arange(len(crowd.xy))
-    before = np.maximum(row - 2, crowd.offsets[:-1][person])
-    after = np.minimum(row + 2, crowd.offsets[1:][person] - 1)
-    way = crowd.xy[after].astype(np.float64) - crowd.xy[before]
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    return np.divide(way, length, out=np.tile([1.0, 0.0], (len(way), 1)), where=length > 0)
-
-
-def _at_ticks(crowd: Trajectories, values: np.ndarray, tick_frames: int) -> np.ndarray:
-    """Values of each row at ticks, linearly interpolated between the ticks of each person."""
-    if tick_frames == 1:
-        return values
-    frame, person = crowd.row_frame(), crowd.row_person()
-    # Persons follow each other on one axis, far enough apart not to be mixed.
-    time = frame + person * 2.0 * crowd.frames
-    at = np.flatnonzero(frame % tick_frames == 0)
-    return np.stack([np.interp(time, time[at], values[at, k]) for k in (0, 1)], axis=1)
-
-
 def smoothed(crowd: Trajectories, tick_frames: int) -> Trajectories:
     """The moving mean of each path over three ticks; ends keep their positions."""
     half = SMOOTHED_TICKS // 2 * tick_frames

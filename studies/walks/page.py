@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from crowdbench.metrics import METRICS, WALK, MetricResult
 from crowdbench.report.text.words import NOTHING, interval, named, share, speed
 from crowdbench.scene import Scene
+from crowdbench.scoring.discriminator import Auc
 from crowdbench.scoring.ranking import metric_scores, rows, scale_of
 from crowdbench.scoring.score import ranks
 from crowdbench.scoring.scorecard import PairResult, Scorecard
@@ -35,6 +36,8 @@ class Walked:
     """Scorecard under arrivals of a spawn model that is fitted to the whole recording."""
     rule: dict[str, MetricResult]
     """Metrics of recorded people walked."""
+    told: dict[str, Auc | None]
+    """How well a classifier tells one rollout of each policy from the recording."""
 
 
 def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str:
@@ -70,6 +73,7 @@ def _scene(walked: Walked) -> str:
         f"### Scores, held out\n\n{scores(walked, walked.card)}",
         f"### Distances, held out\n\n{distance_table(walked.card, _FAMILIES, walked.names)}",
         f"### Do they arrive?\n\n{_lives(walked)}",
+        f"### Can they be told apart?\n\n{_told(walked)}",
         _rule(walked),
     ]
     parts += [
@@ -105,6 +109,24 @@ def scores(walked: Walked, card: Scorecard) -> str:
         )
     shown = [table(head, lines, text=2)] if lines else []
     return "\n\n".join(shown + _unscored(walked, card, {row.policy for row in known}))
+
+
+def _told(walked: Walked) -> str:
+    """Markdown table of the classifier's results, and its control."""
+    known = {policy: of for policy, of in walked.told.items() if of is not None}
+    if not known:
+        return "There are too few windows, or the classifier tells the recording from itself."
+    lines = [
+        [walked.names[policy], f"{of.value:.2f} ± {of.error:.2f}"] for policy, of in known.items()
+    ]
+    lines.append(["recording", f"{next(iter(known.values())).control:.2f}"])
+    return (
+        "A classifier sees windows of 5 s of people who walk, in one rollout of each policy under "
+        "the recorded arrivals, and learns which are recorded. On windows that it has not seen, "
+        "its AUC is 0.5 if they cannot be told apart, and 1 if they always can. The last row is a "
+        "control: the recording, treated like a rollout. It sees single persons only, so it is "
+        "blind to avoidance and ranks nothing.\n\n" + table(["policy", "AUC"], lines, text=1)
+    )
 
 
 def _unscored(walked: Walked, card: Scorecard, scored: set[str]) -> list[str]:

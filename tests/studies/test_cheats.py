@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from worlds import Person, actions_of, simulate, square
 
+from crowdbench.data.recordings.noise import with_noise
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
@@ -14,7 +15,7 @@ from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import Row, rows
 from studies.__main__ import main as studies_main
 from studies.cheats import cheat, cheats_of
-from studies.cheats.recordings import shifted, smoothed, with_noise
+from studies.cheats.recordings import shifted, smoothed
 from studies.cheats.search import search
 from studies.cheats.twins import twins
 from studies.cheats.walkers import Creeper, Runner, Wanderer

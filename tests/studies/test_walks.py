@@ -84,7 +84,7 @@ def test_where_nobody_has_a_score_the_page_has_no_table_but_says_why() -> None:
         scored=list(PLAZA.protocol.scored), gate=PLAZA.gate, scale=scale, entries=entries,
     )  # fmt: skip
     names = {e.policy: e.policy for e in entries}
-    walked = Walked(PLAZA, names, dict.fromkeys(names, "state"), card, card, {})
+    walked = Walked(PLAZA, names, dict.fromkeys(names, "state"), card, card, {}, {})
     assert scores(walked, card) == (
         "No scores: straight, recorded-paths, random. Rollouts of each policy: 1. Scores need two."
     )

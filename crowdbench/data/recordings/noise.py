@@ -5,10 +5,11 @@ variance 6 σ², whatever the lag L, and accelerations, whose part grows with th
 fitted as 6 σ² + a Lᵇ.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.random import Generator
 
 from crowdbench.data.table import Indices, Points, Trajectories
 
@@ -75,3 +76,35 @@ def _fitted(lags: Int[np.ndarray, " L"], variance: Float[np.ndarray, " L"]) -> N
     more = np.flatnonzero(signal + power * np.log(lags) >= noise)
     first = int(lags[more[0]]) if len(more) else int(lags[-1])
     return Noise(float(np.sqrt(np.exp(noise) / 6)), first)
+
+
+def with_noise(
+    crowd: Trajectories, sigma_m: tuple[float, float], tick_frames: int, rng: Generator
+) -> Trajectories:
+    """White noise on the positions at ticks, along and across the paths; linear in between."""
+    noise = rng.standard_normal((len(crowd.xy), 2)) * sigma_m
+    way = _directions(crowd)
+    across = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    offset = noise[:, :1] * way + noise[:, 1:] * across
+    return replace(crowd, xy=(crowd.xy + _at_ticks(crowd, offset, tick_frames)).astype(np.float32))
+
+
+def _directions(crowd: Trajectories) -> np.ndarray:
+    """Unit vector along the path at each row; along x for people who do not move."""
+    person, row = crowd.row_person(), np.arange(len(crowd.xy))
+    before = np.maximum(row - 2, crowd.offsets[:-1][person])
+    after = np.minimum(row + 2, crowd.offsets[1:][person] - 1)
+    way = crowd.xy[after].astype(np.float64) - crowd.xy[before]
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    return np.divide(way, length, out=np.tile([1.0, 0.0], (len(way), 1)), where=length > 0)
+
+
+def _at_ticks(crowd: Trajectories, values: np.ndarray, tick_frames: int) -> np.ndarray:
+    """Values of each row at ticks, linearly interpolated between the ticks of each person."""
+    if tick_frames == 1:
+        return values
+    frame, person = crowd.row_frame(), crowd.row_person()
+    # Persons follow each other on one axis, far enough apart not to be mixed.
+    time = frame + person * 2.0 * crowd.frames
+    at = np.flatnonzero(frame % tick_frames == 0)
+    return np.stack([np.interp(time, time[at], values[at, k]) for k in (0, 1)], axis=1)
