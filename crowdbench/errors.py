@@ -154,8 +154,12 @@ def _checked(
         for of, value in signature.bind(*args, **kwargs).arguments.items():
             hint, fits = check(of)
             if not fits(value):
+                known = _names(hint)
                 raise SettingError(
-                    f"{name}({of}=…)", got=in_words(value), expected=" or ".join(_names(hint))
+                    f"{name}({of}=…)",
+                    got=in_words(value),
+                    expected=" or ".join(known),
+                    hint=did_you_mean(value, [k.strip("'") for k in known if k.startswith("'")]),
                 )
         return function(*args, **kwargs)
 

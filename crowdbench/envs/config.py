@@ -85,16 +85,6 @@ class EnvConfig:
     `dropped`."""
 
     def __post_init__(self) -> None:
-        for name, known in (("start", get_args(Start)), ("on_full", get_args(OnFull))):
-            value = getattr(self, name)
-            if value not in known and (name, value) != ("start", None):
-                got = repr(value)
-                hint = did_you_mean(value, known)
-                raise SettingError(name, got=got, expected=f"one of {', '.join(known)}", hint=hint)
-        if not isinstance(self.reward, Reward) and not callable(self.reward):
-            raise SettingError(
-                "reward", got=repr(self.reward), expected="a crowdbench.Reward or a function"
-            )
         if self.horizon_s is not None:
             check_horizon(self.horizon_s)
 
