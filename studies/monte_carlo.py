@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.leaderboard.verification.entry import entry_path, read_entry, shipped_leaderboard
 from crowdbench.metrics import WALK, Metric
 from crowdbench.run.jobs import Pair, plan
 from crowdbench.run.judge import MetricSlice, draws_of, seen_in
@@ -24,6 +23,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, WALK_ANCHOR, Scale, read_anchors
 from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
 from crowdbench.spawn.perturbed_replay import replays
+from studies.ceilings import perturbed_of
 from studies.markdown import flowed, table
 
 PROTOCOL = "heldout"
@@ -188,10 +188,7 @@ def _energy(to_recorded: np.ndarray, between: np.ndarray, *, walks: bool) -> np.
 def _as_judged(pair: Pair) -> Pair:
     """The pair with the key of the policy's entry, whose rollouts are then taken."""
     spawn, policy = pair
-    path = entry_path(shipped_leaderboard() / "entries", policy)
-    if spawn != PERTURBED or not path.is_file():
-        return pair
-    return f"{PERTURBED}:{read_entry(path).key}", policy
+    return (perturbed_of(policy) if spawn == PERTURBED else spawn), policy
 
 
 def page(

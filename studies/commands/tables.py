@@ -4,6 +4,8 @@ from pathlib import Path
 
 import crowdbench
 from crowdbench.cli.options import Workers
+from crowdbench.cli.printing import progress_bar
+from crowdbench.report.text.terminal import print_table
 
 
 def plans(scenes: list[str], /) -> None:
@@ -84,6 +86,38 @@ def sharing(scenes: list[str], /) -> None:
     from studies.sharing import comparison
 
     print(comparison(scenes))
+
+
+def ceilings(
+    scenes: list[str] | None = None,
+    /,
+    *,
+    policy: str = "anticipate",
+    out: Path = Path("results/ceilings"),
+    workers: Workers = None,
+) -> None:
+    """Measure what a right model would score in walking, and write it beside the scenes' files.
+
+    Args:
+        scenes: ids of scenes, or their folders (default: all real ones)
+        policy: policy whose rollouts stand for the recording
+        out: folder of the rollouts that are made
+    """
+    from crowdbench.metrics import WALK
+    from crowdbench.scene import load_scene
+    from studies.ceilings import measure, write
+    from studies.monte_carlo import SCENES
+
+    rows = []
+    for name in scenes or SCENES:
+        scene = load_scene(name)
+        with progress_bar(f"rollouts of {scene.id}") as progress:
+            found = measure(scene, policy, out / scene.id, workers, progress)
+        write(scene, found)
+        for arrivals, of in (("recorded", found.recorded), ("perturbed", found.perturbed)):
+            values = [f"{of.families[family]:.2f}" for family in WALK if family in of.families]
+            rows.append((scene.id, arrivals, *values, f"{of.walk:.2f}"))
+    print_table("scene", "arrivals", *WALK, "walk", rows=rows, left=("arrivals",))
 
 
 def monte_carlo(

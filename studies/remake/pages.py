@@ -9,6 +9,9 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
+from crowdbench.scoring.scorecard import WALK_ANCHOR
+from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+from studies.ceilings import POLICY as CEILING
 from studies.copied_arrivals import MODELS as ARRIVING
 from studies.copies import HONEST as COPIED_BESIDE
 from studies.copies import SCENES as COPIED
@@ -75,6 +78,15 @@ def _of_scenes() -> Iterator[Result]:
             trains=True,
         )
     for scene in REAL:
+        ceilings = _page(
+            f"ceilings/{scene}",
+            (f"scenes/{scene}/ceilings.json",),
+            [("python", "-m", "studies", "ceilings", scene)],
+            "studies.ceilings",
+            {scene: [("replay", CEILING), (PERTURBED, CEILING), WALK_ANCHOR]},
+            splits=FOLDS,
+        )
+        yield replace(ceilings, files=(*ceilings.files, ENTRY.format(CEILING)))
         yield _page(
             f"docs/encounters/{scene}",
             (f"docs/encounters/{scene}.*",),

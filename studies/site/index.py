@@ -6,6 +6,9 @@ from markupsafe import Markup
 
 from crowdbench.leaderboard.submission.schema import SCENES, Track
 from crowdbench.report.html.render import html_page
+from crowdbench.report.text.words import plainly
+from crowdbench.scene import load_scene
+from crowdbench.scoring.ceilings import read_ceilings
 from studies.site.headline import headline
 from studies.site.render import html, own
 from studies.site.standings import Standing
@@ -23,6 +26,21 @@ JUDGED: dict[Track, str] = {
     "of the simulated crowd, and on motion and interaction (the lesser) as on the track walk; the "
     "mean of both counts.",
 }
+
+
+def judged() -> dict[Track, str]:
+    """How each track is judged, with what a right model would get in walking."""
+    known = {name: read_ceilings(load_scene(name)) for name in SCENES}
+    values = [f"{plainly(of.perturbed.walk)} on {name}" for name, of in known.items() if of]
+    if not values:
+        return JUDGED
+    right = (
+        f" A right model, whose people act by chance, would get about {', '.join(values)} (what "
+        "anticipate would get if the recording were one of its rollouts)."
+    )
+    return JUDGED | {"walk": JUDGED["walk"] + right}
+
+
 LISTED = (
     "Scored in the same way, but not ranked: trajectories that crowdbench did not simulate, and "
     "models trained on the recordings that they are scored on (full). Trajectories of crowds have "
@@ -58,7 +76,7 @@ def index_page(standings: Sequence[Standing]) -> str:
         rules=rules_of(standings[0]),
         scenes=SCENES,
         lead=LEAD,
-        judged=JUDGED,
+        judged=judged(),
         listing=LISTED,
         rescoring=_RESCORING,
         submit=SUBMIT,

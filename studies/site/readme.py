@@ -6,7 +6,7 @@ from crowdbench.leaderboard.scores import View
 from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.report.text.words import interval, number
 from studies.markdown import flowed, table
-from studies.site.index import JUDGED, LEAD, LISTED, SUBMIT, rules_of
+from studies.site.index import LEAD, LISTED, SUBMIT, judged, rules_of
 from studies.site.render import markdown
 from studies.site.standings import Line, Standing
 from studies.site.tables import COPIED, GATE, OVERALL, any_examined, copied, examined, gated
@@ -23,7 +23,7 @@ def readme(standings: Sequence[Standing]) -> str:
         rules=rules_of(standings[0]),
         scenes=SCENES,
         lead=LEAD,
-        judged=JUDGED,
+        judged=judged(),
         listing=LISTED,
         submit=SUBMIT,
     )

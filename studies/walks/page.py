@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from crowdbench.metrics import METRICS, WALK, MetricResult
-from crowdbench.report.text.words import NOTHING, interval, named, share, speed
+from crowdbench.report.text.words import NOTHING, interval, named, plainly, share, speed
 from crowdbench.scene import Scene
+from crowdbench.scoring.ceilings import read_ceilings
 from crowdbench.scoring.discriminator import Auc
 from crowdbench.scoring.ranking import metric_scores, rows, scale_of
 from crowdbench.scoring.score import ranks
@@ -52,7 +53,9 @@ def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str
     return flowed(f"""# How policies walk
 
 People enter at the recorded times and places, with the recorded speeds and goals, and are moved by
-a policy. `docs/metrics.md` explains how to read a table of scores. The column *sees* is the input
+a policy. `docs/metrics.md` explains how to read a table of scores. The last row is an estimate of
+what a right model would get whose people act by chance: what `anticipate` would get if the
+recording were one of its rollouts (`python -m studies ceilings`). The column *sees* is the input
 of a policy: *observation*, that of an agent in the environment, including its rays, or *state*, the
 positions, velocities and goals of all people (random uses none of it).
 
@@ -107,8 +110,17 @@ def scores(walked: Walked, card: Scorecard) -> str:
                 *(interval(each.get(m.name)) for m in scored),
             ]
         )
+    if lines and (ceilings := read_ceilings(walked.scene)):
+        of = ceilings.recorded
+        right = [_rounded(of.walk), *(_rounded(of.families.get(family)) for family in WALK), "", ""]
+        values = [_rounded(of.metrics.get(m.name)) for m in scored]
+        lines.append(["*a right model, about*", "", "", *right, *values])
     shown = [table(head, lines, text=2)] if lines else []
     return "\n\n".join(shown + _unscored(walked, card, {row.policy for row in known}))
+
+
+def _rounded(value: float | None) -> str:
+    return NOTHING if value is None else plainly(value)
 
 
 def _told(walked: Walked) -> str:

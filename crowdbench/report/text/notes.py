@@ -2,11 +2,12 @@
 
 from collections.abc import Collection, Sequence
 
-from crowdbench.metrics import METRICS, all_metrics
+from crowdbench.metrics import METRICS, WALK, all_metrics
 from crowdbench.report.display_names import Names
 from crowdbench.report.text.words import STEERED, number, share, speed, to_import
 from crowdbench.run.references import missing
 from crowdbench.scene import Gate, Scene
+from crowdbench.scoring.ceilings import read_ceilings
 from crowdbench.scoring.ranking import Row, gate_standard, steered, walker_of
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import ANCHOR, Limit, Scorecard, has_recorded_arrivals
@@ -100,10 +101,25 @@ def score_notes(card: Scorecard, scene: Scene, table: Sequence[Row], names: Name
         notes.append(f"Scores are missing: {too_few_rollouts(card)}")
     if not has_recorded_arrivals(card):
         notes.append(f"Scores of motion and interaction need the recording: {to_import(scene)}.")
-    notes += missing_notes(scene)
+    notes += missing_notes(scene) + ceiling_notes([entry.spawn for entry in card.entries], scene)
     if any(steered(entry.spawn) for entry in card.entries):
         notes.append(STEERED)
     return notes
+
+
+def ceiling_notes(arrivals: Collection[str], scene: Scene) -> list[str]:
+    """What a right model would score in walking, under these spawn models; empty if unknown."""
+    spawn = {name for name in arrivals if replays(name)}
+    ceilings = read_ceilings(scene) if spawn and scene.protocol.scored else None
+    if ceilings is None:
+        return []
+    of = ceilings.recorded if spawn == {"replay"} else ceilings.perturbed
+    families = ", ".join(f"{name} {of.families[name]:.2f}" for name in WALK if name in of.families)
+    return [
+        f"In walking, a right model whose people act by chance would get about {of.walk:.2f} here "
+        f"({families}): that is what {ceilings.policy} would get if the recording were one of its "
+        "rollouts."
+    ]
 
 
 def too_few_rollouts(card: Scorecard) -> str:
