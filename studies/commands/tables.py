@@ -138,20 +138,6 @@ def monte_carlo(
     print(page(scenes or SCENES, out=out, workers=workers), end="")
 
 
-def cheats_twins(scenes: list[str], /, *, policy: str = "anticipate", rollouts: int = 6) -> None:
-    """Score a policy against the recording and against its own rollouts.
-
-    Args:
-        scenes: ids of scenes, or their folders
-        policy: policy whose rollouts are compared
-        rollouts: number of rollouts in each fold
-    """
-    from studies.cheats.twins import tables
-
-    for scene in scenes:
-        print(f"{scene}\n\n{tables(scene, policy, rollouts)}\n", flush=True)
-
-
 def cheats_search(scene: str = "eth-v0", /, *, draws: int = 200) -> None:
     """Search at random for blind wanderers that score well (minutes).
 

@@ -17,7 +17,6 @@ from studies.__main__ import main as studies_main
 from studies.cheats import cheat, cheats_of
 from studies.cheats.recordings import shifted, smoothed
 from studies.cheats.search import search
-from studies.cheats.twins import twins
 from studies.cheats.walkers import Creeper, Runner, Wanderer
 
 OPEN = square(200.0)
@@ -148,25 +147,6 @@ def test_the_metrics_see_through_the_cheats(opentraj: Path) -> None:
     for name, metric in of["recorded-paths"].entry.metrics.items():
         assert metric.distance is not None, name
         assert metric.distance <= 0.05, name
-
-
-def test_a_policy_without_random_numbers_equals_itself() -> None:
-    found = twins(PLAZA, "social-force", 2)
-    assert {"pace", "avoidance"} <= {t.metric for t in found} <= set(PLAZA.protocol.scored)
-    assert all(t.own == 1 for t in found)
-    assert all(t.recorded < 1 for t in found)
-    assert all(t.number > 0 for t in found)
-
-
-def test_a_policy_that_draws_actions_does_not_equal_itself(capsys) -> None:
-    assert studies_main(["cheats-twins", "plaza-v0", "--policy", "random", "--rollouts", "2"]) == 0
-    *_, motion, interaction = capsys.readouterr().out.strip().splitlines()
-    assert "**motion**" in motion
-    assert "**interaction**" in interaction
-    recorded, own = (float(cell.replace("−", "-")) for cell in motion.split("|")[4:6])
-    assert recorded < own < 1
-    assert studies_main(["cheats-twins", "plaza-v0", "--rollouts", "1"]) == 2
-    assert "rollouts" in capsys.readouterr().err
 
 
 @pytest.mark.nightly
