@@ -167,7 +167,7 @@ def _value(entry: Entry, scene: str) -> str:
 
 
 def _score(entry: Entry, view: View) -> Score | None:
-    return scores(entry).get(view)
+    return scores(entry, recorded=True).get(view)
 
 
 def _mean(entry: Entry, *others: Entry | None) -> float:

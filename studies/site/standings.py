@@ -215,7 +215,7 @@ def with_current_limits(entry: Entry) -> Entry:
     """
     flags = [flag for flag in entry.flags if flag.what != "copied trips"]
     for name, scene in entry.scenes.items():
-        only_trips = msgspec.structs.replace(scene.copy, arrivals=None)
+        only_trips = msgspec.structs.replace(scene.copy, arrivals=None, coarse=[])
         flags += flags_of(name, None, None, only_trips)
     order = entry.declared.scenes
     flags.sort(key=lambda flag: order.index(flag.scene))  # as verification does

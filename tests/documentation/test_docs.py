@@ -20,6 +20,7 @@ import crowdbench
 from crowdbench import rollout
 from crowdbench.cli import app, main
 from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS
+from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.policies import StateView
 from studies.__main__ import app as studies
@@ -172,8 +173,10 @@ def test_the_scores_of_bc_and_gail_are_those_of_their_entries() -> None:
     for named, name, *shown in rows:
         place = named.strip() or place
         families = [family(name, SCENES[place], f) for f in ("motion", "interaction")]
+        entry = read_entry(ROOT / "leaderboard" / "entries" / f"{name}.json.gz")
+        walk = scores(entry)[View(scene=SCENES[place])].value  # at most 0 beyond the gate
         values = [float(value.replace("−", "-")) for value in shown]
-        assert values == pytest.approx([*families, min(families)], abs=0.006), (place, name)
+        assert values == pytest.approx([*families, walk], abs=0.006), (place, name)
 
 
 @pytest.mark.parametrize(

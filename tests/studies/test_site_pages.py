@@ -247,7 +247,7 @@ def test_rollouts_that_serve_all_folds_are_not_said_to_be_made_in_each(tmp_path:
     assert re.search(r"heldout: 1 rollout, scored fold by fold, [\d,]+ simulated", texts["once"])
     assert "1 rollout in each fold" not in texts["once"]
     assert "heldout: 30 rollouts in each fold, 5 fits" in texts["crowd"]
-    assert "Motion and interaction: further rollouts under the recorded" in texts["crowd"]
+    assert "Motion and interaction: further rollouts of the recorded people" in texts["crowd"]
     assert "further rollouts" not in texts["trained"]
 
 
@@ -265,7 +265,9 @@ def test_the_persons_of_an_entry_are_those_of_its_rollouts(path: Path) -> None:
     people = {"eth-v0": 360, "hotel-v0": 390, "zara1-v0": 148, "gc-v0": 12_671, "forum-v0": 1160}
     times = 3 if entry.id.endswith("-calibrated") else 1
     for name, scene in entry.scenes.items():
-        assert scene.persons == times * scene.rollouts * people[name]
+        everyone = times * scene.rollouts * people[name]
+        # Who enters elsewhere than in the recording may find the place taken for too long.
+        assert scene.persons == pytest.approx(everyone, rel=1e-4 * (entry.status == "ranked"))
 
 
 def test_earlier_results_are_kept_with_their_reason(board: Path) -> None:
