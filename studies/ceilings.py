@@ -31,7 +31,8 @@ RECORDED = 6
 def perturbed_of(policy: str) -> str:
     """The perturbed arrivals under which a policy's entry was ranked; without one, any."""
     path = entry_path(shipped_leaderboard() / "entries", policy)
-    return f"{PERTURBED}:{read_entry(path).key}" if path.is_file() else PERTURBED
+    key = read_entry(path).key if path.is_file() else ""
+    return f"{PERTURBED}:{key}" if key else PERTURBED
 
 
 def measure(

@@ -104,7 +104,8 @@ def test_an_installed_format_is_imported_and_says_what_is_wrong_with_a_file(
     )
     done = ran(installed, tmp_path, "-c", f"import sys\nsys.stderr = sys.stdout\n{code}")
     assert "format columns, mine.tsv: got ValueError" in done
-    assert "got 'rows'; expected one of obsmat, gc, forum, csv, trajnet, jupedsim, columns" in done
+    assert "got 'rows'; expected one of obsmat, gc, forum, csv, trajnet, jupedsim, " in done
+    assert ", columns" in done
 
 
 @pytest.fixture
@@ -237,7 +238,7 @@ def test_what_is_no_metric_of_its_name_is_refused(
 
 @pytest.mark.usefixtures("free")
 def test_kinds_and_names_are_checked() -> None:
-    with pytest.raises(SettingError, match="got the kind 'walls'"):
+    with pytest.raises(SettingError, match=r"register.kind=….: got 'walls'"):
         register("walls", "mine", object())  # type: ignore[arg-type]
     with pytest.raises(SettingError, match="got the name 'a:b'"):
         register("policies", "a:b", object())

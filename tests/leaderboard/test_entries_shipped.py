@@ -98,11 +98,9 @@ def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path
     assert replaced == 1
     (tmp_path / "ppo").mkdir()
     (tmp_path / "ppo/submission.toml").write_text(on_eth, "utf-8")
-    verify(tmp_path / "ppo", tmp_path, workers=1)
-    entry, committed = (
-        read_entry(tmp_path / "ppo.json.gz"),
-        read_entry(ROOT / "entries/ppo.json.gz"),
-    )
+    committed = read_entry(ROOT / "entries/ppo.json.gz")
+    verify(tmp_path / "ppo", tmp_path, workers=1, key=committed.key)
+    entry = read_entry(tmp_path / "ppo.json.gz")
     assert entry.flags == committed.flags == []
     made, expected = (
         msgspec.to_builtins(e.scenes["eth-v0"], builtin_types=(bytes,)) for e in (entry, committed)

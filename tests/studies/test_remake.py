@@ -265,9 +265,12 @@ def touch(monkeypatch: pytest.MonkeyPatch, touched: str) -> None:
             "scenes/gc-v0/policies/anticipate/fold1.onnx",
             {
                 *("entries/anticipate", "entries/cox-plans-anticipate", "docs/walks"),
-                *("docs/encounters/gc-v0", "docs/across", "docs/rollouts"),
+                *("docs/encounters/gc-v0", "docs/across", "docs/rollouts", "ceilings/gc-v0"),
             },
-            {"leaderboard", "docs/peers"},
+            {
+                *("leaderboard", "docs/peers", "ceilings/eth-v0", "ceilings/hotel-v0"),
+                *("ceilings/zara1-v0", "ceilings/forum-v0"),
+            },
         ),
         (
             "leaderboard/submissions/orca/submission.toml",
