@@ -150,11 +150,11 @@ def score(
 def _print_classifier(
     place: "crowdbench.Scene", tables: list[Path], crowds: "list[crowdbench.Trajectories]"
 ) -> None:
-    from crowdbench.run.references import discriminator_of
+    from crowdbench.run.references import classifier_test_of
 
-    discriminator = discriminator_of(place)
-    told = [discriminator.auc(crowd) for crowd in crowds]
-    none = "too few windows, or the recording is told from itself"
+    test = classifier_test_of(place)
+    told = [test.auc(crowd) for crowd in crowds]
+    none = "no result: too few people who walk, or the classifier tells the recording from itself"
     facts = {
         table.name: none if auc is None else f"{auc.value:.2f} ± {auc.error:.2f}"
         for table, auc in zip(tables, told, strict=True)

@@ -5,6 +5,7 @@ in each row, so that any tool can read the file without a join; Parquet compress
 """
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -317,12 +318,11 @@ def _read_csv(csv: "ModuleType", data: "pyarrow.BufferReader") -> "pyarrow.Table
     head, _, rest = data.read(1 << 16).partition(b"\n")
     data.seek(0)
     by = next((c for c in ",;\t" if c.encode() in head), ",")
-    if by == "," or b"," not in rest:
-        return csv.read_csv(data, parse_options=csv.ParseOptions(delimiter=by))
+    point = "," if by != "," and re.search(rb"\d,\d", rest) else "."
     return csv.read_csv(
         data,
         parse_options=csv.ParseOptions(delimiter=by),
-        convert_options=csv.ConvertOptions(decimal_point=","),
+        convert_options=csv.ConvertOptions(decimal_point=point),
     )
 
 

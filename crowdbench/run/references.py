@@ -5,7 +5,7 @@ from dataclasses import replace
 from crowdbench.data.recordings.noise import noise_of
 from crowdbench.registry import has_recording, raw_recording_of, recording_of
 from crowdbench.scene import Scene
-from crowdbench.scoring.discriminator import Discriminator
+from crowdbench.scoring.classifier import ClassifierTest
 from crowdbench.scoring.reference import Reference, applicable, read_reference, summarise
 from crowdbench.spawn.events import blocks_of
 
@@ -27,7 +27,7 @@ def reference_of(scene: Scene) -> Reference:
     return replace(reference, statistics=reference.statistics | found)
 
 
-def discriminator_of(scene: Scene) -> Discriminator:
+def classifier_test_of(scene: Scene) -> ClassifierTest:
     """What tells crowds from the scene's recording.
 
     Raises:
@@ -35,7 +35,7 @@ def discriminator_of(scene: Scene) -> Discriminator:
     """
     recorded, tick = recording_of(scene), scene.walking.tick_frames
     noise = noise_of(raw_recording_of(scene), tick)
-    return Discriminator(recorded, noise, blocks_of(recorded, scene), tick)
+    return ClassifierTest(recorded, noise, blocks_of(recorded, scene), tick)
 
 
 def missing(scene: Scene) -> list[str]:

@@ -18,7 +18,7 @@ from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import Crowds
 from crowdbench.run.jobs import plan
 from crowdbench.run.judge import judge
-from crowdbench.run.references import discriminator_of, reference_of
+from crowdbench.run.references import classifier_test_of, reference_of
 from crowdbench.run.rollout import rollout
 from crowdbench.run.rollout_jobs import Progress, roll_out
 from crowdbench.scene import Scene, load_scene
@@ -109,8 +109,8 @@ def _walk(
     recording = recording_of(place)
     draw_dwell(place, reference, crowds, names, out / "walks")
     walked = rollout(place, Replay(recording), RecordedPaths(recording), seed=0)
-    discriminator = discriminator_of(place)
-    told = {policy: discriminator.auc(crowd) for (_, policy, _), crowd in crowds.items()}
+    test = classifier_test_of(place)
+    told = {policy: test.auc(crowd) for (_, policy, _), crowd in crowds.items()}
     return Walked(place, names, sees, card, sampled, reference.score(walked), told)
 
 

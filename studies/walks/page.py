@@ -8,7 +8,7 @@ from crowdbench.metrics import METRICS, WALK, MetricResult
 from crowdbench.report.text.words import NOTHING, interval, named, plainly, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.ceilings import read_ceilings
-from crowdbench.scoring.discriminator import Auc
+from crowdbench.scoring.classifier import Auc
 from crowdbench.scoring.ranking import metric_scores, rows, scale_of
 from crowdbench.scoring.score import ranks
 from crowdbench.scoring.scorecard import PairResult, Scorecard

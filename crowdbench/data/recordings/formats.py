@@ -17,7 +17,7 @@ from crowdbench.data.recordings.jupedsim import parse_jupedsim, write_jupedsim
 from crowdbench.data.recordings.mending import Gaps, Stamped, on_frames
 from crowdbench.data.recordings.obsmat import parse_obsmat, step_by_speed_s
 from crowdbench.data.recordings.pixels import parse_sdd, parse_vsp
-from crowdbench.data.recordings.placing import placed, resampled
+from crowdbench.data.recordings.placing import check_placing, placed, resampled
 from crowdbench.data.recordings.plausible import check_lives, check_motion
 from crowdbench.data.recordings.simulators import BY_PEDPY, parse_fcd, read_by_pedpy
 from crowdbench.data.recordings.text_rows import FRAME_PED_XY, parse_frame_ped_xy
@@ -204,9 +204,20 @@ def _check_options(asked: _Asked) -> None:
         got = f"{given[0]} with the format {layout}"
         expected = f"one of the formats {', '.join(mendable)}"
         raise SettingError(given[0], got=got, expected=expected)
-    if asked.every_s is not None and not 0 < asked.every_s <= LONGEST_DT_S:
-        expected = f"an interval of more than 0 and at most {LONGEST_DT_S:g} s"
-        raise SettingError("--resample", got=f"{asked.every_s}", expected=expected)
+    check_placing(asked.scale, asked.homography)
+    if asked.every_s is not None:
+        if not 0 < asked.every_s <= LONGEST_DT_S:
+            expected = f"an interval of more than 0 and at most {LONGEST_DT_S:g} s"
+            raise SettingError("--resample", got=f"{asked.every_s}", expected=expected)
+        for option, value in (("--gaps", gaps), ("--offset-s", offset_s)):
+            if value is not None:
+                raise SettingError(
+                    option,
+                    got=f"{value} with --resample",
+                    expected="one of the two",
+                    hint="With --resample, frames begin at the first row, and gaps of up to 2 s "
+                    "are interpolated; longer ones split a person.",
+                )
     if offset_s is not None and layout != "csv":
         got = f"the format {layout}, whose frames are numbered"
         raise SettingError("--offset-s", got=got, expected="the format csv with a column time_s")
@@ -235,11 +246,14 @@ def _table(asked: _Asked) -> tuple[Trajectories, bool]:
     if asked.every_s is not None and "time_s" in columns:
         at = np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64)
         stamped = Stamped(columns["person_id"], columns["time_s"], at, "s", asked.every_s)
-        return _resampled(stamped, 1.0, asked), False
+        if asked.dt_s is not None:
+            got = f"{asked.dt_s:g} with --resample and a column time_s"
+            raise SettingError("--dt-s", got=got, expected="--resample alone")
+        return _resampled(stamped, 1.0, asked, columns), False
     dt_s = checked_dt_s(path, None, asked.dt_s)
     stamped = _stamped(columns, dt_s, asked)
     if asked.every_s is not None:
-        return _resampled(stamped, dt_s / stamped.step, asked), False
+        return _resampled(stamped, dt_s / stamped.step, asked, columns), False
     stamped = placed(stamped, asked.scale, asked.homography)
     rows = on_frames(stamped, gaps=asked.gaps, dt_s=dt_s, where=path)
     if stamped.step != 1 and stamped.unit == "frame":
@@ -312,10 +326,18 @@ def _crowd(rows: Stamped, stated_s: float | None, asked: _Asked) -> Trajectories
     return whole.crowd(scene=asked.name, dt_s=dt_s, where=asked.path)
 
 
-def _resampled(rows: Stamped, unit_s: float, asked: _Asked) -> Trajectories:
-    """The crowd at frames of `--resample`; `unit_s` is the time that 1 in the stamps stands for."""
+def _resampled(
+    rows: Stamped, unit_s: float, asked: _Asked, columns: Mapping[str, np.ndarray] | None = None
+) -> Trajectories:
+    """The crowd at frames of `--resample`; `unit_s` is the time that 1 in the stamps stands for.
+
+    `columns` are those of a table; times of entry in them count from the first row, too.
+    """
     assert asked.every_s is not None
     in_s = replace(rows, values=rows.values * unit_s, unit="s", step=asked.every_s, origin=0.0)
     at = placed(in_s, asked.scale, asked.homography)
     whole = resampled(at, asked.every_s, asked.path)
-    return whole.crowd(scene=asked.name, dt_s=asked.every_s, where=asked.path)
+    of_rows = dict(columns or {})
+    for column in {"spawn_s", "requested_s"} & set(of_rows):
+        of_rows[column] = of_rows[column] - in_s.values.min()
+    return whole.crowd(scene=asked.name, dt_s=asked.every_s, where=asked.path, columns=of_rows)

@@ -31,6 +31,7 @@ person give the number to another one."""
 _MOST_FILLED = 0.2
 """Largest number of rows that are interpolated, as a share of the real ones."""
 _FEW_FILLED = 10
+"""So many rows may be interpolated in any recording."""
 FEW = (
     "If only a few rows are affected, use --gaps interpolate to fill them in linearly, or --gaps "
     "split to split a person into two where rows are missing."
@@ -147,9 +148,8 @@ def on_frames(
 
     With `interpolate`, missing rows are interpolated linearly. With `split`, and in gaps longer
     than 2 s (steps are `dt_s` long), the person ends at the gap and continues as another person
-    with a new number. With both, rows between two frames are
-    replaced by positions at the frames, interpolated linearly in time. With None, recordings with
-    faults are rejected.
+    with a new number. With both, rows between two frames are replaced by positions at the frames,
+    interpolated linearly in time. With None, recordings with faults are rejected.
 
     Raises:
         RecordingError: a person has two rows at the same time; or rows are missing or between two
@@ -166,9 +166,8 @@ def on_frames(
     ticks, beside = ticks[order], _BESIDE[rows.unit]
     steps, same = np.diff(ticks), np.diff(rows.person) == 0
     twice = np.flatnonzero(same & (steps <= beside)) + 1
-    if (
-        len(twice) and 0 < np.median(steps[same]) < 0.5
-    ):  # rows are closer than --dt-s, not duplicates
+    # Where most rows are closer than --dt-s, some are so close by chance, and no duplicates.
+    if len(twice) and 0 < np.median(steps[same]) < 0.5:
         _refuse_close(rows, steps[same], where)
     if len(twice):
         raise RecordingError(

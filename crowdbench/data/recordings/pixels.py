@@ -25,7 +25,7 @@ def parse_vsp(data: bytes, where: object) -> tuple[Stamped, float]:
     Raises:
         RecordingError: the file is broken, or it has no person.
     """
-    lines = [line.split(" - ")[0].split("-  ")[0].split() for line in _text(data).splitlines()]
+    lines = [line.split(" - ")[0].split() for line in _text(data).splitlines()]
     lines = [words for words in lines if words]
     person: list[int] = []
     points: list[list[float]] = []

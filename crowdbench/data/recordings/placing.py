@@ -13,21 +13,28 @@ from crowdbench.files import read_bytes
 _MATRIX = "a text file with three rows of three numbers"
 
 
+def check_placing(scale: float | None, homography: Path | None) -> None:
+    """Check the options that convert positions to metres.
+
+    Raises:
+        SettingError: both are given, or the scale is not a positive number.
+    """
+    if scale is not None and homography is not None:
+        expected = "one of --scale and --homography"
+        raise SettingError("--homography", got="--scale as well", expected=expected)
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise SettingError("--scale", got=f"{scale}", expected="a positive number of metres")
+
+
 def placed(rows: Stamped, scale: float | None, homography: Path | None) -> Stamped:
     """The rows in metres: positions times `scale`, or mapped by the matrix in a file.
 
     The matrix maps (x, y, 1), in homogeneous coordinates.
 
     Raises:
-        SettingError: both are given, or the scale is not a positive number.
         RecordingError: the matrix cannot be read or inverted, or maps positions to infinity.
     """
-    if scale is not None and homography is not None:
-        expected = "one of --scale and --homography"
-        raise SettingError("--homography", got="--scale as well", expected=expected)
     if scale is not None:
-        if not (np.isfinite(scale) and scale > 0):
-            raise SettingError("--scale", got=f"{scale}", expected="a positive number of metres")
         return replace(rows, xy=rows.xy * scale)
     if homography is None:
         return rows

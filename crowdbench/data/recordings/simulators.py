@@ -1,5 +1,6 @@
 """Output of simulators: SUMO's FCD, and what PedPy reads of others."""
 
+import textwrap
 from io import BytesIO
 from pathlib import Path
 from xml.etree import ElementTree
@@ -81,7 +82,7 @@ def read_by_pedpy(path: Path, layout: str) -> tuple[Stamped, float]:
     try:
         found = readers[layout](path)
     except Exception as error:  # PedPy's readers raise errors of pandas, h5py and others, too
-        got = " ".join(str(error).split())[:300]
+        got = textwrap.shorten(str(error), 200, placeholder=" …")
         expected = f"a file that PedPy reads as {layout}"
         raise RecordingError(path, got=got, expected=expected) from error
     table = found.data

@@ -138,6 +138,22 @@ def test_irregular_rows_are_resampled(yard: Trajectories, jittered: Path) -> Non
     assert found.provenance["notes"]["resampled"].startswith("from rows about every 0.03")
 
 
+def test_resampling_replaces_other_options(jittered: Path) -> None:
+    for asked in ({"offset_s": 5.0}, {"dt_s": 0.04}, {"gaps": "interpolate"}):
+        with pytest.raises(SettingError, match="with --resample"):
+            read_recording(jittered, "csv", name="yard", resample=0.4, **asked)
+
+
+def test_resampling_keeps_what_a_table_says_of_persons(tmp_path: Path) -> None:
+    lines = ["person_id,time_s,x,y,group,spawn_s"]
+    lines += [f"{p},{100 + 0.3 * k + p},{0.4 * k},{p},{p // 2},{99.9 + p}"
+              for p in range(4) for k in range(30)]  # fmt: skip
+    path = written(tmp_path / "t.csv", lines)
+    found = read_recording(path, "csv", name="yard", resample=0.4)
+    assert found.group.tolist() == [0, 0, 1, 1]
+    np.testing.assert_allclose(found.spawn_s, np.maximum(0, np.arange(4) - 0.1), atol=1e-6)
+
+
 def test_irregular_rows_are_not_called_duplicates(jittered: Path) -> None:
     with pytest.raises(RecordingError, match=r"mostly 0\.03\d* s apart, at irr.*--resample 0.4"):
         read_recording(jittered, "csv", name="yard", dt_s=0.4)
@@ -280,6 +296,7 @@ def test_options_are_checked(yard: Trajectories, tmp_path: Path) -> None:
         ({"scale": -1.0}, "--scale: got -1.0; expected a positive number"),
         ({"scale": 0.1, "homography": tmp_path / "H"}, "one of --scale and --homography"),
         ({"resample": 7.0}, "--resample: got 7.0; expected an interval"),
+        ({"resample": 0.4, "gaps": "split"}, "--gaps: got split with --resample"),
     ):
         table = made_up.write(yard, "trajnet", tmp_path)
         with pytest.raises(SettingError, match=message):

@@ -63,7 +63,7 @@ class _Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class Discriminator:
+class ClassifierTest:
     """Tells crowds from the recording of a scene."""
 
     recorded: Trajectories

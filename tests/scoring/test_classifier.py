@@ -11,17 +11,17 @@ from crowdbench.cli import main
 from crowdbench.data.recordings.noise import Noise
 from crowdbench.registry import recording_of
 from crowdbench.run.plaza_recording import record
-from crowdbench.run.references import discriminator_of
+from crowdbench.run.references import classifier_test_of
 from crowdbench.scene import load_scene
-from crowdbench.scoring import discriminator
-from crowdbench.scoring.discriminator import FEATURES, Discriminator, _features
+from crowdbench.scoring import classifier
+from crowdbench.scoring.classifier import FEATURES, ClassifierTest, _features
 
 PLAZA = load_scene("plaza-v0")
 
 
 @pytest.fixture(scope="module")
-def plaza() -> Discriminator:
-    return discriminator_of(PLAZA)
+def plaza() -> ClassifierTest:
+    return classifier_test_of(PLAZA)
 
 
 def test_features_are_those_of_ways_that_are_known() -> None:
@@ -43,14 +43,14 @@ def test_features_are_those_of_ways_that_are_known() -> None:
     assert of["bend sideways"][2] > 0.5 > 1e-9 > of["bend sideways"][3]
 
 
-def test_another_draw_of_the_same_process_cannot_be_told(plaza: Discriminator) -> None:
+def test_another_draw_of_the_same_process_cannot_be_told(plaza: ClassifierTest) -> None:
     same = plaza.auc(record(seed=1))
     assert same is not None
     assert same.control < 0.55
     assert same.value == pytest.approx(0.5, abs=0.06)
 
 
-def test_who_walks_straight_is_told(plaza: Discriminator) -> None:
+def test_who_walks_straight_is_told(plaza: ClassifierTest) -> None:
     told = plaza.auc(rollout(PLAZA, "replay", "straight", seed=0))
     assert told is not None
     assert told.value > 0.8
@@ -58,15 +58,15 @@ def test_who_walks_straight_is_told(plaza: Discriminator) -> None:
 
 
 def test_nothing_is_said_if_the_recording_is_told_from_itself(
-    plaza: Discriminator, monkeypatch: pytest.MonkeyPatch
+    plaza: ClassifierTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With little noise added to the recording and much to crowds, the noise shows."""
-    monkeypatch.setattr(discriminator, "SIMULATED", 20.0)
+    monkeypatch.setattr(classifier, "SIMULATED", 20.0)
     noisy = replace(plaza, noise=(Noise(0.05, 2), Noise(0.05, 2)))
     assert noisy.auc(recording_of(PLAZA)) is None
 
 
-def test_nothing_is_said_of_few_windows(plaza: Discriminator) -> None:
+def test_nothing_is_said_of_few_windows(plaza: ClassifierTest) -> None:
     assert plaza.auc(rollout(PLAZA, "replay", "straight", seed=0, horizon_s=20.0)) is None
 
 
