@@ -12,7 +12,7 @@ import numpy as np
 from crowdbench.errors import SettingError
 from crowdbench.files import replacing, write_text
 from crowdbench.leaderboard.scores import View, scores
-from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.leaderboard.verification.entry import AsRecorded, Entry, SceneEntry
 from crowdbench.report.plots.canvas import picture
 from crowdbench.report.text.words import NOTHING, interval, plainly
 from crowdbench.scene import load_scene
@@ -163,7 +163,12 @@ def _value(entry: Entry, scene: str) -> str:
     found = _score(entry, View(scene=scene))
     if found is None:
         return NOTHING
-    return plainly(found.value) + (" !" if entry.scenes[scene].fails else "")
+    return plainly(found.value) + (" !" if _as_recorded(entry.scenes[scene]).fails else "")
+
+
+def _as_recorded(scene: SceneEntry) -> AsRecorded | SceneEntry:
+    """The results under the recorded arrivals, which other simulators' models have."""
+    return scene.as_recorded or scene
 
 
 def _score(entry: Entry, view: View) -> Score | None:
@@ -204,7 +209,7 @@ def _of_scene(scene: str, models: Sequence[Model], ours: Mapping[str, Entry]) ->
 
 
 def _line(entry: Entry, scene: str) -> list[str]:
-    of = entry.scenes[scene]
+    of = _as_recorded(entry.scenes[scene])
     found = [_score(entry, View(family, scene)) for family in ("", "motion", "interaction")]
     speed = NOTHING if of.speed_mps is None else f"{of.speed_mps:.2f}"
     at_goal = NOTHING if of.at_goal is None else f"{100 * of.at_goal:.1f} %"

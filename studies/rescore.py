@@ -39,7 +39,8 @@ def rescore(
     path = find_entry(entry_id, root / "entries")
     old = read_entry(path)
     submission = root / "submissions" / entry_id
-    if old.scorer == SCORER and check(submission).artefacts == old.artefacts:
+    same = check(submission).artefacts == old.artefacts
+    if old.scorer == SCORER and same:
         raise SettingError(
             f"entry {old.id}",
             got=f"scorer {SCORER} and files that it has already scored",
@@ -47,7 +48,8 @@ def rescore(
             hint="The scores would be the same.",
         )
     examined = old.exam is not None
-    new, ran = entry_of(submission, out / "work", workers, limits, exam=examined, key=old.key)
+    key = old.key if same else ""  # who changes networks may know the old one
+    new, ran = entry_of(submission, out / "work", workers, limits, exam=examined, key=key)
     if new.id != entry_id:
         raise SettingError(
             submission, got=f"a submission with the id {new.id}", expected=f"the id {entry_id}"

@@ -42,11 +42,13 @@ def scores(entry: Entry, *, gated: bool = True, recorded: bool = False) -> dict[
         families = FAMILIES_OF["spawn"]
     found: dict[View, Score] = {}
     for name, scene in entry.scenes.items():
-        cards = scene.families | (scene.recorded if recorded else {})
+        exact = scene.as_recorded if recorded else None
+        cards = scene.families | (exact.families if exact else {})
+        fails = exact.fails if exact else scene.fails
         each = {f: cards[f].score() for f in families if f in cards}
         found |= {View(family, name): score for family, score in each.items()}
         counted = {FAMILY_OF[metric] for metric, m in scene.metrics.items() if m.scored}
-        whole = total_score(each, passes=not (scene.fails and gated))
+        whole = total_score(each, passes=not (fails and gated))
         if whole is not None and counted & set(families) <= set(each):
             found[View(scene=name)] = whole
     if all(View(scene=name) in found for name in SCENES):

@@ -16,10 +16,10 @@ from studies.site.tables import listed_table, ranked_table
 from studies.site.text import in_html
 
 JUDGED: dict[Track, str] = {
-    "walk": "A policy moves the people of the recording. They enter up to 2 s earlier or later and "
-    "some decimetres beside their places, by random numbers that nobody knew before; people of "
-    "references, external and listed entries enter exactly as recorded. Scored on motion and "
-    "interaction, of which the lesser counts.",
+    "walk": "A policy moves the people of the recording. Their times and places of entry are "
+    "changed at random, by up to 2 s and by some decimetres, with a key that was secret. "
+    "People of references, external and listed entries enter exactly as recorded. Scored on motion "
+    "and interaction, of which the lesser counts.",
     "spawn": "A spawn model draws when, where and with which goal people enter; they walk "
     "straight. Scored on arrivals, presence, trips and space.",
     "crowd": "A spawn model and a policy together. Scored on arrivals, presence, trips and space "

@@ -32,7 +32,7 @@ def scene_results(name: str, entry: Entry, player: Markup, definitions: str = ""
         definitions=definitions,
         meanings={metric.name: meaning(metric) for metric in METRICS},
         scene=scene,
-        recorded=scene.recorded,
+        recorded=scene.as_recorded.families if scene.as_recorded else {},
         track=declared.track,
         given=are_trajectories(entry),
         # A policy that is trained on no recording is the same in all folds: its rollouts of the

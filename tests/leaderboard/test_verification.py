@@ -23,6 +23,7 @@ from crowdbench.leaderboard.sandbox import isolation
 from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError
 from crowdbench.leaderboard.submission.errors import SubmissionError
 from crowdbench.leaderboard.submission.submission import Submission
+from crowdbench.leaderboard.verification import verify as verification
 from crowdbench.leaderboard.verification.entry import SCORER, Entry, read_entry
 from crowdbench.leaderboard.verification.make_entry import make_entry
 from crowdbench.leaderboard.verification.verify import verify
@@ -95,8 +96,11 @@ def test_an_entry_has_what_the_track_is_scored_by(walked: tuple[Path, Entry]) ->
     scene = entry.scenes["plaza-v0"]
     assert set(scene.families) == {"motion", "interaction"}
     assert (scene.protocol, scene.fits, scene.rollouts) == ("heldout", 1, DRAWS)
-    assert set(scene.recorded) == {"motion", "interaction"}
-    assert scene.recorded["motion"].value != scene.families["motion"].value
+    exact = scene.as_recorded
+    assert exact is not None
+    assert set(exact.families) == {"motion", "interaction"}
+    assert exact.families["motion"].value != scene.families["motion"].value
+    assert exact.at_goal == pytest.approx(scene.at_goal, abs=0.05)
     assert re.fullmatch("[0-9a-f]{32}", entry.key)
     speed = scene.metrics["speed"]
     assert speed.scored
@@ -148,6 +152,15 @@ def test_the_command_line_goes_on_after_a_refusal_and_writes_the_same_bytes(
     assert head.split("  ")[-1].strip() == "copied trips"
     before = walked[0] / "out" / "mine-v2.json.gz"
     assert (tmp_path / "mine-v2.json.gz").read_bytes() == before.read_bytes()
+
+
+def test_a_key_is_used_once(walked: tuple[Path, Entry], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An interrupted verification goes on with its key; a later one draws another."""
+    assert not list((walked[0] / "out").rglob("*.key"))
+    work = walked[0] / "again"
+    first = verification._key_in(work, "mine")
+    assert verification._key_in(work, "mine") == first != walked[1].key
+    assert re.fullmatch("[0-9a-f]{32}", first)
 
 
 def test_time_and_memory_stand_beside_the_entry(walked: tuple[Path, Entry]) -> None:
@@ -339,7 +352,7 @@ def test_two_submissions_of_one_id_are_not_both_verified(
     edit(twin, "Mine, v2", "MINE v2!")
     shutil.copytree(walked[0] / "out" / "work", tmp_path / "work")
     asked = ["leaderboard", "verify", str(walked[0] / "mine"), str(twin), "--out", str(tmp_path)]
-    assert main([*asked, "--workers", "1"]) == 2
+    assert main([*asked, "--workers", "1", "--key", walked[1].key]) == 2
     assert "got the id mine-v2 of another submission; expected" in capsys.readouterr().err
     assert read_entry(tmp_path / "mine-v2.json.gz") == walked[1]
 
@@ -364,7 +377,7 @@ def test_an_entry_is_overwritten_only_if_that_is_asked_for(
     assert "got the id mine-v2, which has an entry already" in said
     assert "`--replace`" in said
     (tmp_path / "out" / "mine-v2.run.json").unlink()
-    assert main([*asked, "--workers", "1", "--replace"]) == 0
+    assert main([*asked, "--workers", "1", "--replace", "--key", walked[1].key]) == 0
     assert (tmp_path / "out" / "mine-v2.json.gz").read_bytes() == before
     assert (tmp_path / "out" / "mine-v2.run.json").exists()
 

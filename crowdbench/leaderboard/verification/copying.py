@@ -26,7 +26,8 @@ that do not copy). So windows there are as long as ten people take to arrive on 
 Whoever moves each arrival by more than a frame escapes from these windows, but the crowd is still a
 copy, with other noise. So the same is done with counts in bins of 4, 10 and 20 s, in windows of 24
 bins: there, a copy with each group moved by up to as many seconds as a bin has comes near to 1.
-Each window looks for the shift that fits best, so a slow warp of the whole recording hides nothing.
+Each window looks for the shift that fits best, so a slow warp of the whole recording does not
+hide it.
 `python -m studies copies` measures models and copies (docs/trust.md).
 """
 

@@ -128,6 +128,17 @@ class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     simulated: Values
 
 
+class AsRecorded(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a policy that is ranked under perturbed arrivals gets under the recorded ones."""
+
+    families: dict[str, ScoreCard]
+    """Motion and interaction."""
+    fails: list[Limit]
+    """The limits of the scene's gate that it exceeds there."""
+    speed_mps: Number | None
+    at_goal: Number | None
+
+
 class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The result on one scene."""
 
@@ -140,7 +151,7 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     persons: Count
     outcomes: dict[str, Count]
     speed_mps: Number | None
-    """Mean speed of people who walk, under the recorded arrivals if the track scores policies."""
+    """Mean speed of people who walk, under the arrivals that count."""
     at_goal: Number | None
     """Share of people at their goals, of those whose trips ended; None if it is unknown."""
     recorded_speed_mps: Number | None
@@ -150,8 +161,8 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """The limits of the scene's gate that the policy exceeds; its walk score is at most 0 then."""
     families: dict[str, ScoreCard]
     """The scores that count. Ranked policies are scored under perturbed arrivals."""
-    recorded: dict[str, ScoreCard] = {}
-    """Of a ranked policy, motion and interaction under the recorded arrivals, for comparison."""
+    as_recorded: AsRecorded | None = None
+    """Of a ranked policy, its results under the recorded arrivals, for comparison."""
     metrics: dict[str, MetricEntry]
     copy: Copy
     curves: dict[str, Curve]

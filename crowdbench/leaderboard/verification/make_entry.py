@@ -97,7 +97,7 @@ def make_entry(
         scenes=scenes,
         flags=flags,
         exam=exam,
-        key=key if any(scene.recorded for scene in scenes.values()) else "",
+        key=key if any(scene.as_recorded for scene in scenes.values()) else "",
         history=[],
     )
 

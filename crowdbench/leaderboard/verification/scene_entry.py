@@ -22,6 +22,7 @@ from crowdbench.leaderboard.verification.curves import (
     distribution,
 )
 from crowdbench.leaderboard.verification.entry import (
+    AsRecorded,
     CoarseCopy,
     Copy,
     Curve,
@@ -159,7 +160,7 @@ def scene_entry(rollouts: SceneRollouts) -> tuple[SceneEntry, list[Flag]]:
         recorded_at_goal=standard.at_goal,
         fails=list(fails),
         families={name: ScoreCard.of(score) for name, score in families.items()},
-        recorded={name: ScoreCard.of(score) for name, score in _recorded(rollouts).items()},
+        as_recorded=_as_recorded(rollouts),
         metrics=_metrics(rollouts),
         copy=copy,
         curves=_curves(rollouts),
@@ -178,13 +179,19 @@ def _families(rollouts: SceneRollouts) -> dict[str, Score]:
     return found
 
 
-def _recorded(rollouts: SceneRollouts) -> dict[str, Score]:
-    """Scores under the recorded arrivals, if those under perturbed ones count."""
+def _as_recorded(rollouts: SceneRollouts) -> AsRecorded | None:
+    """Results under the recorded arrivals, if those under perturbed ones count."""
     if rollouts.walk is None or with_key(rollouts.walk[0]) is None:
-        return {}
-    by_pair = {(row.spawn, row.policy): row for row in rows(rollouts.card)}
-    scores = by_pair["replay", rollouts.walk[1]].families
-    return {family: score for family, score in scores.items() if family in WALK}
+        return None
+    pair = "replay", rollouts.walk[1]
+    row = next(row for row in rows(rollouts.card) if (row.spawn, row.policy) == pair)
+    result = rollouts.results[pair]
+    return AsRecorded(
+        families={f: ScoreCard.of(score) for f, score in row.families.items() if f in WALK},
+        fails=list(failures(rollouts.card, result)),
+        speed_mps=result.speed_mps,
+        at_goal=result.at_goal,
+    )
 
 
 def _metrics(rollouts: SceneRollouts) -> dict[str, MetricEntry]:

@@ -21,13 +21,14 @@ def check_entry(entry: Entry, where: object) -> None:
         WeightsError: a name is unknown, a resample is invalid, or lists do not match each other.
     """
     scenes = entry.scenes.values()
+    recorded = [s.as_recorded for s in scenes if s.as_recorded is not None]
     submitted = {*list_scenes()} & {*entry.declared.scenes}
     for what, names, known in (
         ("scene", entry.scenes.keys(), submitted),
         ("scene of a flag", {flag.scene for flag in entry.flags}, entry.scenes),
         ("scene of an exam", set() if entry.exam is None else {entry.exam.scene}, entry.scenes),
         ("family", {name for s in scenes for name in s.families}, FAMILIES),
-        ("recorded family", {name for s in scenes for name in s.recorded}, WALK),
+        ("family as recorded", {name for of in recorded for name in of.families}, WALK),
         ("metric", {name for s in scenes for name in s.metrics}, FAMILY_OF),
         ("curve", {name for s in scenes for name in s.curves}, TITLES),
     ):
@@ -35,7 +36,8 @@ def check_entry(entry: Entry, where: object) -> None:
             got = f"an unknown {what}, {plain(ascii(unknown[0]), 80)}"
             expected = f"one of {', '.join(sorted(known))}"
             raise WeightsError(where, got=got, expected=expected, hint=HINT)
-    cards = [c for s in scenes for c in (*s.families.values(), *s.recorded.values())]
+    families = [*(s.families for s in scenes), *(of.families for of in recorded)]
+    cards = [card for each in families for card in each.values()]
     lines = [(c.x, c.recorded, c.simulated) for scene in scenes for c in scene.curves.values()]
     tests = [] if entry.exam is None else [*entry.exam.passed, *entry.exam.failed]
     for got, holds, expected in (

@@ -201,9 +201,13 @@ def _refuse_root(submission: Path) -> None:
         )
 
 
+def _key_file(work: Path, submission: str) -> Path:
+    return work / f"{submission}.key"
+
+
 def _key_in(work: Path, submission: str) -> str:
-    """The key of perturbed arrivals for a submission: drawn once, so that work can go on."""
-    path = work / f"{submission}.key"
+    """The key of perturbed arrivals: an interrupted verification goes on with its own."""
+    path = _key_file(work, submission)
     if not path.is_file():
         write_text(path, secrets.token_hex(16))
     return path.read_text().strip()
@@ -222,6 +226,8 @@ def _write(
     check_unused(submission, entry.id, entry.declared.authors, owners, replace=replace)
     write_json(entry_path(out, entry.id), entry)
     write_run(out / f"{entry.id}.run.json", ran)
+    # The key is in the entry now: a submission that is changed is judged with another one.
+    _key_file(out / "work", submission.name).unlink(missing_ok=True)
 
 
 def write_run(path: Path, ran: ResourceUsage) -> None:
