@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -78,6 +78,15 @@ class Tried:
     parameters: tuple[float, ...]
     score: float
     """What is maximised."""
+
+
+Candidate = TypeVar("Candidate", bound=Tried)
+
+
+@dataclass(frozen=True)
+class Examined(Tried):
+    """A candidate that has walked and taken the exam."""
+
     walk: tuple[float, ...]
     """*walk* on each scene."""
     motion: tuple[float, ...]
@@ -95,13 +104,13 @@ class Judge:
         self._place = places[0]
         self._validators = [Validator(place, SPLIT) for place in places]
 
-    def score(self, parameters: tuple[float, ...]) -> Tried:
+    def score(self, parameters: tuple[float, ...]) -> Examined:
         """Walk and judge a candidate."""
         policy = self.model.policy(self.model.parameters(*parameters))
         found = [validator.validate(policy) for validator in self._validators]
         walked = [of.walk + 0.1 * np.mean(list(of.families.values())) for of in found]
         tests = self._examine(policy)
-        return Tried(
+        return Examined(
             parameters=parameters,
             score=float(np.mean(walked)) - (len(TESTS) - tests),
             walk=tuple(of.walk for of in found),
@@ -122,13 +131,13 @@ class Judge:
 
 
 def search(
-    model: Model, score: Callable[[tuple[float, ...]], Tried], *, candidates: int, seed: int
-) -> Iterator[Tried]:
+    model: Model, score: Callable[[tuple[float, ...]], Candidate], *, candidates: int, seed: int
+) -> Iterator[Candidate]:
     """Score so many candidates; the same seed gives the same ones."""
     rng = np.random.default_rng(seed)
     low, high = np.log(model.ranges).T
     mean, std = (low + high) / 2, (high - low) / 3
-    tried: list[Tried] = []
+    tried: list[Candidate] = []
     while len(tried) < candidates:
         for _ in range(min(GENERATION, candidates - len(tried))):
             drawn = np.exp(np.clip(rng.normal(mean, std), low, high))
@@ -146,7 +155,7 @@ def _with_bodies(scene: Scene) -> Scene:
     return replace(scene, motion=motion)
 
 
-def row(tried: Tried) -> str:
+def row(tried: Examined) -> str:
     """A line of the table."""
     walked = "  ".join(
         f"{w:5.2f} ({m:5.2f} {i:5.2f})"
@@ -182,7 +191,7 @@ def main(arguments: list[str] | None = None) -> None:
     began = time.process_time()
     scenes = "  ".join(f"{scene}: walk (motion, interaction)" for scene in SCENES)
     print(f"score  {scenes}  tests  {' '.join(names)}", flush=True)
-    best: Tried | None = None
+    best: Examined | None = None
     judge = Judge(model)
     for one in search(model, judge.score, candidates=asked.candidates, seed=asked.seed):
         print(row(one), flush=True)

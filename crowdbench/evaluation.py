@@ -18,9 +18,9 @@ from crowdbench.errors import SettingError, checked
 from crowdbench.files import unwritable, write_json
 from crowdbench.metrics import METRICS
 from crowdbench.plugins import add_metric
+from crowdbench.policies import GuidedWalker
 from crowdbench.progress import ROLLOUTS
 from crowdbench.registry import (
-    ANY_PLACE,
     has_recording,
     list_policies,
     list_spawn_models,
@@ -44,7 +44,7 @@ RESULTS = ("scorecard.json", "run.json", "report.html")
 SPAWN = ("poisson-gmm", "ntpp-gmm", "cox-plans")
 POLICY = ("straight", "social-force", "anticipate")
 """The spawn models and policies that are evaluated by default: simple ones, and the best that ship.
-Where `anticipate` was not trained, `anticipate-any` walks."""
+Where `anticipate` was not trained, `guided-walker` walks."""
 
 
 @checked()
@@ -168,7 +168,7 @@ def default_spawn_models(scene: Scene) -> list[str]:
 def default_policies(scene: Scene) -> list[str]:
     """The policies of `POLICY`, with one for any place instead of those that a scene lacks."""
     known = list_policies(scene)
-    return [name if name in known else ANY_PLACE for name in POLICY]
+    return [name if name in known else GuidedWalker.name for name in POLICY]
 
 
 def publish(

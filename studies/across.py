@@ -1,10 +1,11 @@
-"""How `anticipate` walks in places that it was not trained on.
+"""How `anticipate` and `guided-walker` walk in places that they were not trained on.
 
     python -m studies across > docs/across.md
 
 For each scene, one network is trained on the others, and is scored on the held-out blocks of this
-scene beside the policies that were trained there and beside social forces. Files of an earlier call
-of the same command and code are kept.
+scene. So is the guided walker with the parameters that were found on the others, which are in the
+scene's `guided-walker.json`. Beside them stand the policies that were trained there, and social
+forces. Files of an earlier call of the same command and code are kept.
 """
 
 import contextlib
@@ -12,12 +13,14 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
-from crowdbench import load_scene, registry
+from crowdbench import Scene, load_scene, registry
 from crowdbench.baselines.packages import needs
 from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError
 from crowdbench.evaluation import evaluate
+from crowdbench.policies.guided import ELSEWHERE, GuidedWalker, parameters_of
 from crowdbench.report.text.words import interval
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scoring.ranking import Row, rows
@@ -32,18 +35,29 @@ SCENES = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
 SPLIT = "full"
 OUT = Path("results/across")
 """Default folder of the policies and rollouts."""
-OTHERS = ("anticipate", "social-force")
-"""Policies for comparison: the one trained on the scene comes first."""
+OTHERS = ("anticipate", "guided-walker", "social-force")
+"""Policies for comparison: those trained on the scene, and social forces."""
+GUIDED = "studies.across:GuidedElsewhere"
 
 INTRODUCTION = """# Walking in other places
 
-For each scene, `anticipate` is trained on the others: *elsewhere*. It is compared with the
-`anticipate` that was trained on the scene itself, on the training blocks of each fold (*there*),
-and with social forces. All are scored on the same held-out blocks under the recorded arrivals. The
-score is *walk*, the lesser of motion and interaction; both are shown for the policy trained
-elsewhere. The last two columns are its score minus those of the other two policies. Brackets are
-95 % intervals. This page is the output of
+For each scene, the network `anticipate` is trained on the others, and so are the parameters of
+`guided-walker` searched on the others: *elsewhere*. They are compared with those that were trained
+on the scene itself, on the training blocks of each fold (*there*), and with social forces. All are
+scored on the same held-out blocks under the recorded arrivals. The score is *walk*, the lesser of
+motion and interaction; in brackets are 95 % intervals. The second table shows differences.
+This page is the output of
 """
+
+
+class GuidedElsewhere(GuidedWalker):
+    """The guided walker with parameters that were found in other places."""
+
+    name = "guided-walker-elsewhere"
+    many_worlds: ClassVar[bool] = True
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(parameters_of(scene, ELSEWHERE))
 
 
 def files_of(command: Command) -> list[Path]:
@@ -59,26 +73,26 @@ def write(command: Command) -> None:
             learn(command, SPLIT, AnticipateSettings())
 
 
-def line(scene: str, found: Mapping[str, Row], elsewhere: str) -> list[str]:
-    """The row of a scene, whose policy from elsewhere has this name."""
-    other, forces = found[elsewhere], found[OTHERS[1]].walk
-    there = found[OTHERS[0]]
-    families = [interval(other.families.get(family)) for family in ("motion", "interaction")]
-    walks = [interval(row.walk) for row in (there, found[OTHERS[1]])]
-    return [
-        scene,
-        interval(other.walk),
-        *families,
-        *walks,
-        difference(other.walk, there.walk),
-        difference(other.walk, forces),
-    ]
-
-
 HEAD = (
-    "scene", "elsewhere", "motion", "interaction", "there", "social-force",
-    "elsewhere − there", "elsewhere − social-force",
+    "scene", "anticipate, elsewhere", "guided-walker, elsewhere", "anticipate, there",
+    "guided-walker, there", "social-force",
 )  # fmt: skip
+DIFFERENCES = (
+    "scene", "anticipate: elsewhere − social-force", "guided-walker: elsewhere − social-force",
+    "elsewhere: guided-walker − anticipate", "there: guided-walker − anticipate",
+)  # fmt: skip
+
+
+def lines_of(scene: str, found: Mapping[str, Row], elsewhere: str) -> tuple[list[str], list[str]]:
+    """The rows of a scene in both tables; `elsewhere` is the network that was trained elsewhere."""
+    network, guided, network_there, guided_there, forces = (
+        found[name].walk for name in (elsewhere, GUIDED, *OTHERS)
+    )
+    scores = [interval(of) for of in (network, guided, network_there, guided_there, forces)]
+    compared = (
+        (network, forces), (guided, forces), (guided, network), (guided_there, network_there)
+    )  # fmt: skip
+    return [scene, *scores], [scene, *(difference(a, b) for a, b in compared)]
 
 
 def commands_of(scenes: Sequence[str], out: Path) -> list[Command]:
@@ -116,24 +130,28 @@ def write_across(
     commands = commands_of(scenes, out)
     for scene in scenes:  # what is missing is said before the trainings
         registry.recording_of(load_scene(scene))
-        registry.policy(OTHERS[0], scene, SPLITS[1])
+        for name in OTHERS:
+            registry.policy(name, scene, SPLITS[1])
     tasks = [(command,) for command in commands]
     for done, _ in enumerate(call_each(write, tasks, workers, files=files_of), 1):
         print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
-    lines = []
+    lines, differences = [], []
     for scene, command in zip(scenes, commands, strict=False):
         elsewhere = str(command.path(SPLIT))
         card = evaluate(
             scene,
             spawn="replay",
-            policy=[elsewhere, *OTHERS],
+            policy=[elsewhere, GUIDED, *OTHERS],
             protocol="heldout",
             workers=workers,
             out=out / "evaluation" / command.out.name,
             report=False,
         )
         found = {row.policy: row for row in rows(card) if row.kind == "entry"}
-        lines.append(line(scene, found, elsewhere))
+        scores, compared = lines_of(scene, found, elsewhere)
+        lines.append(scores)
+        differences.append(compared)
     asked = [] if tuple(scenes) == SCENES else scenes
     call = f"    {shlex.join(['python', '-m', 'studies', 'across', *asked])}"
-    return "\n".join([INTRODUCTION, f"{call}\n", table(list(HEAD), lines)])
+    tables = [table(list(HEAD), lines), table(list(DIFFERENCES), differences)]
+    return "\n".join([INTRODUCTION, f"{call}\n", *tables])

@@ -44,10 +44,11 @@ def evaluate(
             (people with companions and stops); block-replay, replay, perturbed-replay (the recorded
             people a little earlier, later and elsewhere); a folder with the fits of one model, or
             pkg.module:Class (default: poisson-gmm, ntpp-gmm and cox-plans)
-        policy: policies: straight, social-force, speed-model, random, anticipate-any, replay and
-            recorded-paths (these two with the spawn model replay), those that come with the scene,
-            FILE.onnx, a folder with such a file for each fold, or pkg.module:Class (default:
-            straight, social-force and anticipate, or anticipate-any where that does not ship)
+        policy: policies: straight, social-force, speed-model, guided-walker, random,
+            anticipate-any, replay and recorded-paths (these two with the spawn model replay), those
+            that come with the scene, FILE.onnx, a folder with such a file for each fold, or
+            pkg.module:Class (default: straight, social-force and anticipate, or guided-walker where
+            that does not ship)
         metric: additional metrics of your own, pkg.module:Class (see `crowdbench scene metrics`)
         scenario: TOML file that changes rates, goals and areas of each spawn model without
             retraining

@@ -100,7 +100,7 @@ def create(
     """
     from crowdbench.data.recordings.catalogue import cached
     from crowdbench.data.recordings.describe import describe
-    from crowdbench.registry import ANY_PLACE
+    from crowdbench.policies import GuidedWalker
     from crowdbench.scene_building import NewScene, create_like, create_scene
 
     if like is not None:
@@ -128,7 +128,9 @@ def create(
     terminal.print_facts(f"recording {crowd.scene}", repairs(crowd, how) | describe(crowd))
     terminal.print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
-    models = f"--policy social-force {ANY_PLACE}" + ("" if whole else " --spawn renewal-gmm")
+    models = f"--policy social-force {GuidedWalker.name}" + (
+        "" if whole else " --spawn renewal-gmm"
+    )
     print(f"Check place.png and time.png there. Next: crowdbench evaluate {scene.asked} {models}")
     if not whole:
         print('This scene has no ntpp-gmm, the default of environments: pass spawn="renewal-gmm".')

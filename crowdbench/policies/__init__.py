@@ -1,6 +1,7 @@
 """Policies: models that move the people of a crowd."""
 
 from crowdbench.policies.card import PolicyCard
+from crowdbench.policies.guided import GuidedWalker
 from crowdbench.policies.memory import Memory
 from crowdbench.policies.network import OnnxPolicy
 from crowdbench.policies.policy import (
@@ -15,7 +16,7 @@ from crowdbench.policies.speed_model import SpeedModel
 from crowdbench.policies.walkers import Random, RecordedPaths, ReplayPolicy, Straight
 
 __all__ = [
-    "Memory", "ObservationPolicy", "OnnxPolicy", "Policy", "PolicyCard", "Random",
+    "GuidedWalker", "Memory", "ObservationPolicy", "OnnxPolicy", "Policy", "PolicyCard", "Random",
     "RecordedPaths", "RememberingPolicy", "ReplayPolicy", "SocialForce", "SpeedModel",
     "StatePolicy", "StateView", "Straight",
 ]  # fmt: skip

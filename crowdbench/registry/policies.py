@@ -8,6 +8,7 @@ from crowdbench import plugins
 from crowdbench.data.blocks import HELD_OUT, SPLITS
 from crowdbench.errors import SettingError, checked
 from crowdbench.policies import (
+    GuidedWalker,
     OnnxPolicy,
     Policy,
     Random,
@@ -17,13 +18,14 @@ from crowdbench.policies import (
     SpeedModel,
     Straight,
 )
+from crowdbench.policies.guided import fits_file, parameters_of
 from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.fits import check_split
 
 _PLAIN: dict[str, Callable[..., Policy]] = {
-    k.name: k for k in (Straight, SocialForce, SpeedModel, Random)
+    k.name: k for k in (Straight, SocialForce, SpeedModel, GuidedWalker, Random)
 }
 _RECORDED: dict[str, Callable[..., Policy]] = {k.name: k for k in (ReplayPolicy, RecordedPaths)}
 POLICIES = (*_PLAIN, *_RECORDED)
@@ -44,7 +46,9 @@ class PolicySource:
 
     @property
     def per_split(self) -> bool:
-        """Whether there is a network for each split, or a class that is called with the split."""
+        """Whether each split has a network, parameters, or a class that is called with it."""
+        if self.name == GuidedWalker.name:
+            return fits_file(self.scene).is_file()
         if self.own:
             return plugins.takes(self._own_class(), "split")
         return self.networks is not None and self.networks.suffix != ".onnx"
@@ -76,6 +80,8 @@ class PolicySource:
         if file is not None:
             return OnnxPolicy(file)
         if not self.own:
+            if self.name == GuidedWalker.name:
+                return GuidedWalker(parameters_of(self.scene, split))
             if self.name in _RECORDED:
                 return _RECORDED[self.name](recording_of(self.scene))
             return _PLAIN[self.name]()
@@ -112,7 +118,10 @@ class PolicySource:
         if files := self.files(split):
             return Dependencies("network", (OnnxPolicy.__module__,), files)
         kind = {**_PLAIN, **_RECORDED}[self.name]
-        return Dependencies(self.name, (kind.__module__,), recording=self.name in _RECORDED)
+        fits = self.name == GuidedWalker.name and self.per_split
+        files = (fits_file(self.scene),) if fits else ()
+        recorded = self.name in _RECORDED
+        return Dependencies(self.name, (kind.__module__,), files, recording=recorded)
 
 
 def policy_source(name: str, scene: Scene) -> PolicySource:

@@ -15,7 +15,7 @@ from crowdbench import registry
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.metrics import WALK
-from crowdbench.metrics.groups import CompanionDistance
+from crowdbench.metrics.groups import CompanionDistance, CompanionOffset
 from crowdbench.metrics.interaction import WallClearance
 from crowdbench.metrics.metric import Statistics
 from crowdbench.metrics.motion import Speed
@@ -31,6 +31,7 @@ from crowdbench.scoring.score import LOWEST
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.fits import check_split
 
+COMPANIONS = (CompanionDistance.name, CompanionOffset.name)
 _SEEDS = 1_000_000
 """First seed of the rollouts, far from those of evaluations."""
 
@@ -50,15 +51,21 @@ class Validation:
     """The same in the recording."""
     at_goal: float
     """Share of those whose trips ended in these blocks who reached the goal."""
-    companion_distance: float
-    """Mean distance of companions, divided by that of recorded ones. A crowd without companions
-    counts as one whose companions are 5 m apart; NaN if the scene has no statistics of them."""
+    ratios: Mapping[str, float]
+    """Mean of each metric's typical value, divided by that of the recording: of the metrics of
+    walking, and of `COMPANIONS`, if the scene has statistics of them. A crowd without companions
+    counts as one whose companions are 5 m apart."""
     clearance: tuple[tuple[float, ...], tuple[float, ...]]
     """Shares (41 each) of positions at each distance to walls, in steps of 5 cm up to 2 m and
     beyond: of the recording, and of the policy."""
     passes: bool
     """Whether speed and arrivals are within the limits of the scene's gate. The standard is the
     recording, where all reach their goals."""
+
+    @property
+    def companion_distance(self) -> float:
+        """The ratio of the distance of companions; NaN if the scene has no statistics of them."""
+        return self.ratios.get(CompanionDistance.name, np.nan)
 
     @property
     def walk(self) -> float:
@@ -119,7 +126,7 @@ class Validator:
                 )
             self._blocks = self._blocks.take(within)
         self._metrics = [m for m in self._reference.metrics if m.family in WALK]
-        self._metrics += [m for m in self._reference.metrics if m.name == CompanionDistance.name]
+        self._metrics += [m for m in self._reference.metrics if m.name in COMPANIONS]
         self._recorded = self._seen(registry.recording_of(self.scene))
         straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS, horizon_s=horizon_s)
         self._anchor = self._distances([self._seen(straight)])
@@ -129,6 +136,10 @@ class Validator:
                 got="no metric of walking that is scored",
                 expected="at least one",
             )
+
+    def judges(self, metric: str) -> bool:
+        """Whether policies get a score of this metric."""
+        return self._anchor.get(metric, 0) > 0
 
     def validate(self, policy: str | Policy, *, rollouts: int = 1) -> Validation:
         """See the function `validate`."""
@@ -157,14 +168,15 @@ class Validator:
                 families[family] = float(np.mean([scores[name] for name in metrics]))
         ended = np.sum([self._ended(crowd) for crowd in crowds], axis=0)
         at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
-        speed, together, walls = Speed(), CompanionDistance(), WallClearance()
+        speed, walls = Speed(), WallClearance()
         speed_mps = float(np.mean([speed.walking_mps(here[speed.name]) or 0.0 for here in seen]))
         recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
-        apart = [np.nan]
-        if together.name in recorded:
-            name = together.name
-            compared = [together.compare(recorded[name], here[name], blocks) for here in seen]
-            apart = [result.simulated / result.recorded for result in compared]
+        ratios = {}
+        for metric in self._metrics:
+            if metric.name in recorded and metric.applies(blocks):
+                of = [metric.compare(recorded[metric.name], h[metric.name], blocks) for h in seen]
+                if of[0].recorded:
+                    ratios[metric.name] = float(np.mean([r.simulated / r.recorded for r in of]))
         largest = walls.if_empty(blocks)
         clear = [_shares(here[walls.name], largest) for here in seen]
         passes = (
@@ -176,7 +188,7 @@ class Validator:
             speed_mps=speed_mps,
             recorded_speed_mps=recorded_mps,
             at_goal=at_goal,
-            companion_distance=float(np.mean(apart)),
+            ratios=ratios,
             clearance=(
                 _shares(recorded[walls.name], largest),
                 tuple(np.mean(clear, axis=0).tolist()),
@@ -195,7 +207,7 @@ class Validator:
     def _distances(self, seen: list[dict[str, Statistics]]) -> dict[str, float]:
         """Mean distance of crowds to the recording in each scored metric of walking."""
         recorded, blocks = self._recorded, self._blocks
-        names = set(self.scene.protocol.scored) - {CompanionDistance.name}
+        names = set(self.scene.protocol.scored) - {*COMPANIONS}
         return {
             m.name: float(
                 np.mean([m.compare(recorded[m.name], of[m.name], blocks).distance for of in seen])

@@ -20,6 +20,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, SceneError, SettingError
 from crowdbench.files import replacing, temporary_folder, unwritable, write_text
 from crowdbench.metrics import METRICS, metrics_for
+from crowdbench.policies.guided import ANYWHERE
 from crowdbench.progress import whole
 from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
@@ -31,6 +32,7 @@ from crowdbench.scene import ID, Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import fit, rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
 from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
+from crowdbench.scene_building.walker import fit_walker
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
@@ -250,6 +252,8 @@ def _fill(built: Path, crowd: Trajectories, workers: int) -> dict[str, str]:
         write_scored(scene, scored)  # before the anchors, because their hash depends on it
         anchors = make_anchors(built, rollouts, workers=workers)
     write_anchors(anchors, built)
+    scene = load_scene(built)
+    fit_walker(scene, elsewhere=ANYWHERE, command="crowdbench scene create", workers=workers)
     computed = {metric.name for metric in metrics_for(read_reference(scene).blocks)}
     if lacking := [m.name.replace("_", " ") for m in METRICS if m.name not in computed]:
         facts["left out"] = f"{', '.join(lacking)}: the time blocks are too short"

@@ -15,7 +15,7 @@ from crowdbench.data.stops import standing
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import SceneError, SettingError, WeightsError, did_you_mean, to_install
 from crowdbench.files import unwritable, write_text
-from crowdbench.progress import steps, tell, whole
+from crowdbench.progress import tell, whole
 from crowdbench.registry import FITTED, PLANNED, fitted_models
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scene import Scene
@@ -28,6 +28,7 @@ from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plans.files import write_plans
 from crowdbench.spawn.plans.fitting import fit_plans
 from crowdbench.spawn.plans.links import Adjustment
+from crowdbench.spawn.plans.planned import PlannedAreas
 
 MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
 """Models that are fitted by default: all but those of the founding paper."""
@@ -113,7 +114,7 @@ def fit_scene(
     for name in named:
         FITTED[name].write(place.folder, fitted[name])
     if not (keeps and set(PLANNED.values()).isdisjoint(named)):
-        _write_plans(crowd, blocks, areas, place)
+        _write_plans(crowd, blocks, areas, place, checked_workers(workers))
     full = arrivals["full"]
     in_walls = float((~scene.walkable(crowd.xy.astype(np.float64))).mean())
     return {
@@ -151,17 +152,38 @@ def _preprocessed(
     return replace(scene, recording=of), recording, counts
 
 
-def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:
+def _write_plans(
+    crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene, workers: int
+) -> None:
     """Fit plans, and adjust them to the models in the scene's folder that have plans."""
     sending = [name for name in PLANNED.values() if name in fitted_models(scene)]
     plans = {split: fit_plans(crowd, blocks.training(split), areas) for split in SPLITS}
-    adjustments: dict[str, dict[str, Adjustment]] = {split: {} for split in SPLITS}
-    for split, name in steps("plans", [(split, name) for split in SPLITS for name in sending]):
-        model: Any = FITTED[name].read(scene, areas, split, 0)
-        adjustments[split][name] = adjustment(
-            model, plans[split], crowd, blocks.training(split), scene
-        )
+    adjustments: dict[str, dict[str, Adjustment]] = {
+        split: dict.fromkeys(sending, Adjustment()) for split in SPLITS
+    }
+    tasks = [
+        (split, name, plans[split], blocks.training(split)) for split in SPLITS for name in sending
+    ]
+    tell("plans", 0, len(tasks))
+    calls = call_each(_adjusted, tasks, workers, common=(crowd, areas, scene))
+    for done, (k, found) in enumerate(calls, 1):
+        split, name, *_ = tasks[k]
+        adjustments[split][name] = found
+        tell("plans", done, len(tasks))
     write_plans(scene.folder, plans, adjustments)
+
+
+def _adjusted(
+    split: str,
+    name: str,
+    plans: PlannedAreas,
+    blocks: TimeBlocks,
+    crowd: Trajectories,
+    areas: Areas,
+    scene: Scene,
+) -> Adjustment:
+    model: Any = FITTED[name].read(scene, areas, split, 0)
+    return adjustment(model, plans, crowd, blocks, scene)
 
 
 def _all_settings(models: Sequence[str], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from crowdbench.leaderboard.submission.models import shipped_class
 from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.leaderboard.verification.copying import INDEPENDENT
 from crowdbench.leaderboard.verification.entry import read_entry
+from crowdbench.policies.guided import FILE as WALKER
 from crowdbench.registry import FITTED, GENERATED, PLANNED, WEIGHTS
 from crowdbench.run.jobs import splits_of
 from crowdbench.run.resolved import MODELS, Resolved, code_of_rollouts
@@ -60,7 +61,27 @@ def scenes_and_entries() -> list[Result]:
         files=(*tables, LIMITS),
         facts={"code": joined([code_hash("studies.site", cut=MODELS)])},
     )
-    return [*of_scenes, _limits(), *entries, peers, *clips, board]
+    walkers = [_walker(scene) for scene in REAL]
+    return [*of_scenes, *walkers, _limits(), *entries, peers, *clips, board]
+
+
+def _walker(scene: str) -> Result:
+    """The parameters of the guided walker, of which some are searched in the other scenes."""
+    files: dict[str, None] = {}
+    facts: dict[str, str] = {}
+    codes = [code_hash("crowdbench.scene_building.walker", cut=MODELS)]
+    for place in REAL:
+        of_models, code = rollouts_of(place, [("replay", "straight")], SPLITS[:1])
+        files |= of_models | {AREAS.format(place): None, REFERENCE.format(place): None}
+        facts |= facts_of(place)
+        codes.append(code)
+    return Result(
+        f"walker/{scene}",
+        (f"scenes/{scene}/{WALKER}",),
+        (("python", "-m", "crowdbench.baselines.guided", "--scenes", scene),),
+        files=tuple(files),
+        facts=facts | {"code": joined(codes)},
+    )
 
 
 def _limits() -> Result:

@@ -123,7 +123,7 @@ def found(recorded: Sequence[float], simulated: Sequence[float]) -> Validation:
     """A validation with these shares of positions at 0, 1 and 2 m from walls."""
     both = np.zeros((2, 41))
     both[:, [0, 20, 40]] = recorded, simulated
-    return Validation({}, {}, 1.0, 1.0, 1.0, 1.0, (tuple(both[0]), tuple(both[1])), passes=True)
+    return Validation({}, {}, 1.0, 1.0, 1.0, {}, (tuple(both[0]), tuple(both[1])), passes=True)
 
 
 def test_walls_cost_more_where_people_walk_too_often() -> None:

@@ -181,7 +181,7 @@ def test_what_exceeds_the_gate_costs() -> None:
     def of(speed_mps: float, at_goal: float) -> float:
         none: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
         families = {"motion": 0.5, "interaction": 0.7}
-        return value_of(Validation({}, families, speed_mps, 1.0, at_goal, 1.0, none, True), PLAZA)
+        return value_of(Validation({}, families, speed_mps, 1.0, at_goal, {}, none, True), PLAZA)
 
     assert of(1.0, 1.0) == 0.5
     assert of(0.65, 1.0) == pytest.approx(0.5 - (0.35 - PLAZA.gate.speed))

@@ -150,11 +150,11 @@ def test_what_is_written_of_a_scene_is_read_again(tmp_path: Path) -> None:
 
 
 def test_it_tells_times_and_what_was_left_out(made: Made) -> None:
-    for step in ("read", "areas", "fits", "plans", "rollouts", "power", "pictures"):
+    for step in ("read", "areas", "fits", "plans", "rollouts", "power", "walker", "pictures"):
         assert any(line.startswith(step) and "0:0" in line for line in made.out.splitlines())
     assert "left out: fitting needs torch" in made.out
     assert "fano 60 s: the time blocks are too short" in made.out
-    policies = "--policy social-force anticipate-any"
+    policies = "--policy social-force guided-walker"
     assert f"crowdbench evaluate yard-v0 {policies} --spawn renewal-gmm" in made.out
 
 
