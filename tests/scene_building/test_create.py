@@ -103,8 +103,9 @@ def copied(made: Made, tmp_path: Path) -> Path:
 @pytest.mark.long
 def test_one_command_makes_all_of_a_scene(made: Made) -> None:
     assert {path.name for path in made.scene.folder.iterdir()} == {
-        "anchors.json.gz", "areas.json", "cox-gmm.json", "place.png", "plans.json",
-        "guided-walker.json", "poisson-gmm.json", "poisson-groups.json", "reference.json.gz", "renewal-gmm.json",
+        "anchors.json.gz", "areas.json", "cox-gmm.json", "guided-walker.json", "place.png",
+        "plans.json", "poisson-gmm.json", "poisson-groups.json", "reference.json.gz",
+        "renewal-gmm.json",
         "scene.toml", "time.png",
     }  # fmt: skip
     assert [path.name for path in made.home.glob("recordings/*")] == ["yard.parquet"]
