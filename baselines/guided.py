@@ -1,25 +1,26 @@
 """Finds the parameters of `guided-walker` for the recorded scenes.
 
-Parameters of two kinds: how unsteadily people walk, how bowed their ways are, and how near to walls
-they walk is fitted in each place (`crowdbench.scene_building.walker`). What remains, `HABITS`, is
-searched in several places at once; it is about how people avoid each other, keep together and come
-to their goals. A scene's habits are searched in the other places only, so that its own recording
-has no part in them.
+The parameters `LOCAL` are fitted in each place (`crowdbench.scene_building.walker`): how unsteadily
+people walk, how far they turn their ways, and how near to walls they walk. The parameters `SHARED`
+are searched in several places at once: how people avoid each other, keep together and come to their
+goals. Those for a scene are searched in the other places.
 
-A candidate walks in each place under the recorded arrivals, with what was fitted there at the
-start. Its value there is its score of interaction, with half of its score of motion, which depends
-more on what is fitted, if that is positive (see `crowdbench.run.validation`). Half of the mean of
-|log(simulated / recorded)| is subtracted of three quantities that are not scored: how far
-companions are apart, how far across their direction, and how often people overlap. Who does not
-pass the gate of a place loses 1 there. The search is that of `crowdbench.baselines.social_force`.
-Scores of single rollouts are noisy, so the result is the geometric mean of the best candidates.
+A candidate for `SHARED` walks in each place under the recorded arrivals, with local parameters that
+are fitted once, at the start. Its value there is the score of interaction, plus half of the score
+of motion if that is positive (see `crowdbench.run.validation`). Half of the mean of
+|log(simulated / recorded)| is subtracted, for three quantities that are not scored: the distance of
+companions, their distance across the direction of walking, and how often people overlap. If the
+candidate does not pass the gate of the place, 1 is subtracted. The search is that of
+`crowdbench.baselines.social_force`. Scores of single rollouts are noisy, so the result is the
+geometric mean of the best candidates.
 
-For each scene, `SCENE/guided-walker.json` is written, with parameters for each split of the
-recording, and those of a walker who has never been there: habits and the means of what was fitted
-in the other places.
+For each scene, `guided-walker.json` is written to its folder: parameters for each split of the
+recording, and those of a walker who has never been there (the searched ones, and means of the local
+ones of the other places).
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,8 +28,9 @@ from functools import partial
 
 import numpy as np
 
+from crowdbench.errors import CrowdbenchError
 from crowdbench.metrics.interaction import OverlapRate
-from crowdbench.policies.guided import ANYWHERE, GuidedWalker, Parameters, fits_file
+from crowdbench.policies.guided import ANYWHERE, FILE, GuidedWalker, Parameters
 from crowdbench.run.validation import COMPANIONS, Validation, Validator
 from crowdbench.scene import load_scene
 from crowdbench.scene_building.walker import fit_walker, fitted
@@ -40,7 +42,7 @@ HORIZON_S = {"gc-v0": 600.0, "forum-v0": 7200.0}
 """Only this time is simulated of long recordings in the search."""
 ROLLOUTS = {"eth-v0": 2, "hotel-v0": 2, "zara1-v0": 2}
 """Rollouts of a candidate, where one has few people."""
-HABITS = {
+SHARED = {
     "avoid": (20.0, 80.0),
     "avoid_m": (0.25, 0.7),
     "avoid_s": (1.5, 6.0),
@@ -64,8 +66,8 @@ START = ANYWHERE._replace(
 MODEL = Model(
     GuidedWalker,
     Parameters,
-    tuple(getattr(START, name) for name in HABITS),
-    tuple(HABITS.values()),
+    tuple(getattr(START, name) for name in SHARED),
+    tuple(SHARED.values()),
 )
 
 
@@ -85,9 +87,9 @@ class Place:
         self._validator = Validator(name, horizon_s=HORIZON_S.get(name))
         self.local = fitted(self._validator, START)
 
-    def walk(self, habits: Sequence[float]) -> Validation:
+    def walk(self, shared: Sequence[float]) -> Validation:
         """Walk a candidate."""
-        parameters = self.local._replace(**dict(zip(HABITS, habits, strict=True)))
+        parameters = self.local._replace(**dict(zip(SHARED, shared, strict=True)))
         return self._validator.validate(
             GuidedWalker(parameters), rollouts=ROLLOUTS.get(self.name, 1)
         )
@@ -103,10 +105,10 @@ def value(found: Validation) -> float:
     return walked - apart / 2 - (not found.passes)
 
 
-def walked(places: Sequence[Place], habits: tuple[float, ...]) -> Walked:
+def walked(places: Sequence[Place], shared: tuple[float, ...]) -> Walked:
     """Walk and judge a candidate."""
-    found = [place.walk(habits) for place in places]
-    return Walked(habits, float(np.mean([value(of) for of in found])), tuple(found))
+    found = [place.walk(shared) for place in places]
+    return Walked(shared, float(np.mean([value(of) for of in found])), tuple(found))
 
 
 def searched(
@@ -119,10 +121,10 @@ def searched(
         tried.append(one)
         tell(row(one))
     best = sorted(tried, key=lambda one: -one.score)[: 2 * ELITE]
-    habits = _mean([one.parameters for one in best])
-    tell("mean of the best: " + row(score(habits)))
+    shared = _mean([one.parameters for one in best])
+    tell("mean of the best: " + row(score(shared)))
     local = _mean([[getattr(place.local, name) for name in LOCAL] for place in places])
-    return START._replace(**dict(zip((*HABITS, *LOCAL), habits + local, strict=True)))
+    return START._replace(**dict(zip((*SHARED, *LOCAL), shared + local, strict=True)))
 
 
 def _mean(of: Sequence[Sequence[float]]) -> tuple[float, ...]:
@@ -139,8 +141,8 @@ def row(tried: Walked) -> str:
     return f"{tried.score:7.3f}  {walked}  {' '.join(f'{v:6.3g}' for v in tried.parameters)}"
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Search, print a table of the candidates, and write a file for each scene."""
+def main(arguments: list[str] | None = None) -> int:
+    """Search, print a table of the candidates, and write a file for each scene; the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m crowdbench.baselines.guided",
         description=__doc__,
@@ -160,6 +162,16 @@ def main(arguments: list[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     if asked.candidates < 2 * ELITE:
         parser.error(f"--candidates: expected {2 * ELITE} or more")
+    try:
+        find(asked.scenes, candidates=asked.candidates, seed=asked.seed)
+    except CrowdbenchError as error:
+        print(f"crowdbench.baselines.guided: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def find(scenes: Sequence[str], *, candidates: int, seed: int) -> None:
+    """Find the parameters for these scenes, or for any other place if there are none."""
     began = time.process_time()
 
     def tell(text: str) -> None:
@@ -168,18 +180,19 @@ def main(arguments: list[str] | None = None) -> None:
     places = [Place(name) for name in PLACES]
     for place in places:
         tell(f"fitted on {place.name}: {place.local._asdict()}")
-    for without in asked.scenes or [None]:
+    left_out: Sequence[str | None] = scenes or [None]
+    for without in left_out:
         others = [place for place in places if place.name != without]
         tell(f"places: {', '.join(place.name for place in others)}")
-        tell(f"score  walk (motion, interaction) in each place  {' '.join(HABITS)}")
-        found = searched(others, candidates=asked.candidates, seed=asked.seed, tell=tell)
+        tell(f"score  walk (motion, interaction) in each place  {' '.join(SHARED)}")
+        found = searched(others, candidates=candidates, seed=seed, tell=tell)
         tell(f"found: {found}")
         if without is not None:
             scene = load_scene(without)
             command = f"python -m crowdbench.baselines.guided --scenes {without}"
             fit_walker(scene, elsewhere=found, command=command, workers=1)
-            tell(f"{fits_file(scene)}, {(time.process_time() - began) / 60:.1f} CPU minutes")
+            tell(f"{scene.folder / FILE}, {(time.process_time() - began) / 60:.1f} CPU minutes")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -62,7 +62,8 @@ class Case:
 def cases(folder: Path, seeds: int) -> list[Case]:
     """An evaluation, and the verification of a submission with three networks."""
     submission = walk_submission(folder / "mine")
-    # Each verification draws a key, and would differ. It may be killed after the entry is written.
+    # With keys of their own, verifications would differ. One that is killed after its entry is
+    # written writes it again.
     same = ["--key", "0" * 32, "--replace"]
     asked = ["--spawn", "poisson-gmm", "--policy", "straight", "--workers", "2"]
     return [

@@ -1,20 +1,18 @@
-"""`guided-walker`: a person keeps its velocity, more or less, and chooses what costs least.
+"""`guided-walker`: a discrete choice model of velocities, without a network.
 
-In each frame, 12 velocities are drawn around the present one: it returns to the wanted velocity as
-an Ornstein–Uhlenbeck process does. The wanted velocity has the preferred speed and leads along the
-way to the target. It is turned by a small angle that a person keeps for its whole trip, so that
-paths are bowed. A 13th candidate is the wanted velocity itself. Each candidate c has a cost E(c):
-of passing strangers nearby and soon, of walls, of leaving companions or walking in file with them,
-of delay and of passing the target by. One is drawn with the probability exp(−E(c)) / Σ exp(−E).
+As in Antonini, Bierlaire & Weber (2006), Transportation Research B 40, 667, a person chooses among
+velocities, with probabilities exp(−E) / Σ exp(−E); here E is a cost. In each frame, 12 candidates
+are drawn around the present velocity by a step of an Ornstein–Uhlenbeck process. Its mean is the
+wanted velocity: the preferred speed along the way to the target, turned by a small angle that each
+person keeps for its whole trip. The 13th candidate has the preferred speed and is not turned. There
+are costs of strangers who pass nearby and soon, of walls, of companions who are too far, too near
+or not at the side, of delay, and of missing the target.
 
-It sees the observation `social-1`, like the policy `anticipate`, whose network it does without:
-there, a network draws the candidates. `crowdbench.baselines.guided` finds the parameters: how
-people avoid each other is searched on several recordings, and has no part of the scene's own; how
-unsteadily they walk is fitted on the scene's training blocks.
+It sees the observation `social-1`. The policy `anticipate` has similar costs, and draws its
+candidates from a network. `crowdbench.baselines.guided` finds the parameters.
 """
 
 import math
-from pathlib import Path
 from typing import ClassVar, Literal, NamedTuple
 
 import msgspec
@@ -39,15 +37,16 @@ LOOK_S = 1.5
 LOOKS = 3
 """Walls count where the person is after 0.5, 1 and 1.5 s."""
 NEAR_M = 3.0
-"""Walls count less, and passing by more, at targets nearer than this."""
+"""At targets nearer than this, walls count less, and missing the target counts. Companions who are
+farther away than this need not be at the side."""
 STRAIGHTEN_M = 4.0
-"""The way is bowed less at targets nearer than this."""
+"""At targets nearer than this, the way is turned less."""
 KEEP_M = 1.2
-"""Companions who are nearer have not been left."""
+"""Companions who are farther away are too far."""
 ROOM_M = 0.7
-"""Companions who are farther away have room."""
+"""Companions who are nearer are too near."""
 ROUND_M = 0.2
-"""Below this distance the costs of companions' places are round instead of pointed."""
+"""Below this distance, the costs of a companion's place grow with the square, not linearly."""
 AT_STOP = 0.1
 """Standard deviations of people who wait, relative to those of people who walk."""
 SLOWEST_MPS = 0.1
@@ -73,7 +72,7 @@ class Parameters(NamedTuple):
     side_mps: float
     """The same of the velocity across the way."""
     bow: float
-    """Standard deviation of the angle by which persons turn the way, in radians."""
+    """Standard deviation of the angles by which persons turn their ways, in radians."""
     avoid: float
     """Cost of a stranger who is touched at once."""
     avoid_m: float
@@ -119,8 +118,9 @@ ANYWHERE = Parameters(
     wall=16.0,
     plan=4.14,
 )
-"""Searched on all recorded scenes, for any other place. Local ones are the means."""
+"""For any other place: found by `python -m crowdbench.baselines.guided --scenes` (no names)."""
 FILE = "guided-walker.json"
+"""In the folder of a scene: the parameters that are fitted to it."""
 ELSEWHERE = "elsewhere"
 """Stands for a split where parameters are those of a walker who has never been in the scene."""
 
@@ -136,11 +136,6 @@ class Fits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """Those for each split of the scene's recording."""
 
 
-def fits_file(scene: Scene) -> Path:
-    """Where a scene's parameters are, if it has some."""
-    return scene.folder / FILE
-
-
 def parameters_of(scene: Scene, split: str) -> Parameters:
     """The parameters for a scene: those of its file, if it has one, else those for any place.
 
@@ -149,16 +144,20 @@ def parameters_of(scene: Scene, split: str) -> Parameters:
     Raises:
         WeightsError: the file is broken.
     """
-    path = fits_file(scene)
+    path = scene.folder / FILE
     if not path.is_file():
         return ANYWHERE
-    hint = f"Run `python -m crowdbench.baselines.guided --scenes {scene.asked}`."
+    hint = "Restore the file. Or delete it: then the parameters for any place are used."
     fits = read_struct(path, Fits, WeightsError, hint)
     found = fits.elsewhere if split == ELSEWHERE else fits.splits.get(split, {})
-    if found.keys() != {*Parameters._fields} or not all(map(math.isfinite, found.values())):
+    if found.keys() != {*Parameters._fields}:
         got = f"{', '.join(found) or 'no parameters'} for {split}"
         expected = f"a number for each of {', '.join(Parameters._fields)}"
         raise WeightsError(path, got=got, expected=expected, hint=hint)
+    wrong = [f"{name} = {value:g}" for name, value in found.items() if not 0 < value < math.inf]
+    if wrong:
+        got = f"{', '.join(wrong)} for {split}"
+        raise WeightsError(path, got=got, expected="positive numbers", hint=hint)
     return Parameters(**found)
 
 
@@ -174,6 +173,11 @@ class GuidedWalker:
 
     def __init__(self, parameters: Parameters = ANYWHERE) -> None:
         self.parameters = parameters
+
+    @classmethod
+    def fitted_to(cls, scene: Scene, split: str) -> "GuidedWalker":
+        """The walker with the parameters for a scene, see `parameters_of`."""
+        return cls(parameters_of(scene, split))
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Load the time step and the unit of actions of `scene`; there are no random draws."""

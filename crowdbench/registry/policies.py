@@ -18,7 +18,6 @@ from crowdbench.policies import (
     SpeedModel,
     Straight,
 )
-from crowdbench.policies.guided import fits_file, parameters_of
 from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
@@ -27,6 +26,8 @@ from crowdbench.spawn.fits import check_split
 _PLAIN: dict[str, Callable[..., Policy]] = {
     k.name: k for k in (Straight, SocialForce, SpeedModel, GuidedWalker, Random)
 }
+_FITTED = {GuidedWalker.name: GuidedWalker.fitted_to}
+"""Those of them that a scene may have parameters for."""
 _RECORDED: dict[str, Callable[..., Policy]] = {k.name: k for k in (ReplayPolicy, RecordedPaths)}
 POLICIES = (*_PLAIN, *_RECORDED)
 ANY_PLACE = "anticipate-any"
@@ -47,11 +48,17 @@ class PolicySource:
     @property
     def per_split(self) -> bool:
         """Whether each split has a network, parameters, or a class that is called with it."""
-        if self.name == GuidedWalker.name:
-            return fits_file(self.scene).is_file()
         if self.own:
             return plugins.takes(self._own_class(), "split")
-        return self.networks is not None and self.networks.suffix != ".onnx"
+        if self.networks is None:
+            return self.parameters is not None
+        return self.networks.suffix != ".onnx"
+
+    @property
+    def parameters(self) -> Path | None:
+        """File with the parameters that are fitted to the scene, for each split; None if none."""
+        file = self.scene.folder / f"{self.name}.json"
+        return file if self.name in _FITTED and file.is_file() else None
 
     def network(self, split: str) -> Path | None:
         """ONNX file for a split; None if the policy is not a network.
@@ -80,8 +87,8 @@ class PolicySource:
         if file is not None:
             return OnnxPolicy(file)
         if not self.own:
-            if self.name == GuidedWalker.name:
-                return GuidedWalker(parameters_of(self.scene, split))
+            if self.parameters is not None:
+                return _FITTED[self.name](self.scene, split)
             if self.name in _RECORDED:
                 return _RECORDED[self.name](recording_of(self.scene))
             return _PLAIN[self.name]()
@@ -118,8 +125,7 @@ class PolicySource:
         if files := self.files(split):
             return Dependencies("network", (OnnxPolicy.__module__,), files)
         kind = {**_PLAIN, **_RECORDED}[self.name]
-        fits = self.name == GuidedWalker.name and self.per_split
-        files = (fits_file(self.scene),) if fits else ()
+        files = () if self.parameters is None else (self.parameters,)
         recorded = self.name in _RECORDED
         return Dependencies(self.name, (kind.__module__,), files, recording=recorded)
 

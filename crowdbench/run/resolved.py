@@ -25,7 +25,10 @@ MODELS = (
         f"crowdbench.spawn.{name}"
         for name in ("perturbed_replay", "replay", "steering.steered", "times")
     ),
-    *(f"crowdbench.policies.{name}" for name in ("network", "social_force", "speed_model")),
+    *(
+        f"crowdbench.policies.{name}"
+        for name in ("guided", "network", "social_force", "speed_model")
+    ),
     "crowdbench.policies.walkers",
 )
 """Spawn models and policies. A rollout depends only on those that are in it."""

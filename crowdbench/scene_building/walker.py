@@ -1,22 +1,22 @@
-"""Fits what is different in each place of the policy `guided-walker`: noise, bows and walls.
+"""Fits the local parameters of the policy `guided-walker`: noise of velocities, turns and walls.
 
-How people avoid each other and keep together is much the same everywhere. How unsteadily they walk,
-how far from the straight way, and how near to walls is not. These three are found by walking under
-the recorded arrivals and comparing with the recording, in the training blocks of a split.
+People avoid each other and keep together in much the same way everywhere. Places differ in how
+unsteadily people walk, how far from the straight way, and how near to walls. So people walk under
+the recorded arrivals, and are compared with the recording in the training blocks of a split.
 """
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.files import write_json
 from crowdbench.metrics.interaction import WallClearance
 from crowdbench.metrics.motion import Acceleration, Deviation, Turning
-from crowdbench.policies.guided import ANYWHERE, Fits, GuidedWalker, Parameters, fits_file
+from crowdbench.policies.guided import ANYWHERE, FILE, Fits, GuidedWalker, Parameters
 from crowdbench.progress import tell
 from crowdbench.run.executor import call_each
 from crowdbench.run.validation import Validator
 from crowdbench.scene import Scene
 
 ROUNDS = 6
-"""Rollouts for noise and bows, which depend on each other."""
+"""Rollouts in which the noise and the turns of ways are adjusted, because one changes the other."""
 SPEED_MPS, BOW = (0.02, 0.6), (0.01, 0.1)
 """Smallest and largest value."""
 STEP = 2.0
@@ -39,7 +39,7 @@ def fit_walker(scene: Scene, *, elsewhere: Parameters, command: str, workers: in
         splits[SPLITS[at]] = found._asdict()
         tell("walker", len(splits), len(SPLITS))
     fits = Fits(command=command, elsewhere=elsewhere._asdict(), splits=splits)
-    write_json(fits_file(scene), fits)
+    write_json(scene.folder / FILE, fits)
 
 
 def _fitted(scene: Scene, split: str, start: Parameters) -> Parameters:

@@ -69,7 +69,8 @@ def _walker(scene: str) -> Result:
     """The parameters of the guided walker, of which some are searched in the other scenes."""
     files: dict[str, None] = {}
     facts: dict[str, str] = {}
-    codes = [code_hash("crowdbench.scene_building.walker", cut=MODELS)]
+    walker = "crowdbench.baselines.guided", "crowdbench.policies.guided"
+    codes = [code_hash(module, cut={*MODELS} - {module}) for module in walker]
     for place in REAL:
         of_models, code = rollouts_of(place, [("replay", "straight")], SPLITS[:1])
         files |= of_models | {AREAS.format(place): None, REFERENCE.format(place): None}

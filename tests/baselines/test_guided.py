@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crowdbench.baselines import guided
-from crowdbench.baselines.guided import HABITS, LOCAL, Place, main, searched, value
+from crowdbench.baselines.guided import LOCAL, SHARED, Place, main, searched, value
 from crowdbench.policies.guided import ANYWHERE, Parameters
 from crowdbench.run.validation import Validation
 
@@ -26,43 +26,43 @@ def test_a_place_counts_interaction_companions_and_the_gate() -> None:
 
 
 class Known(Place):
-    """Stands for a place that likes certain habits."""
+    """Stands for a place that likes certain shared."""
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.likes = np.log([(low * high) ** 0.5 for low, high in HABITS.values()]) + 0.1
+        self.likes = np.log([(low * high) ** 0.5 for low, high in SHARED.values()]) + 0.1
         self.local = ANYWHERE._replace(bow=0.02 if name == "a" else 0.08)
         self.walked = 0
 
-    def walk(self, habits: Sequence[float]) -> Validation:
+    def walk(self, shared: Sequence[float]) -> Validation:
         self.walked += 1
-        off = np.log(habits) - self.likes
+        off = np.log(shared) - self.likes
         return validation(float(1 - off @ off))
 
 
-def test_habits_are_found_and_local_parameters_are_means() -> None:
+def test_shared_are_found_and_local_parameters_are_means() -> None:
     places = [Known("a"), Known("b")]
     told: list[str] = []
     found = searched(places, candidates=60, seed=0, tell=told.append)
-    habits = np.log([getattr(found, name) for name in HABITS])
-    assert np.abs(habits - places[0].likes).mean() < 0.2
+    shared = np.log([getattr(found, name) for name in SHARED])
+    assert np.abs(shared - places[0].likes).mean() < 0.2
     assert found.bow == pytest.approx(0.04)
     assert len(told) == 61
     assert places[1].walked == 61
-    assert {*HABITS, *LOCAL} | {"speed_s", "side_s"} == {*Parameters._fields}
+    assert {*SHARED, *LOCAL} | {"speed_s", "side_s"} == {*Parameters._fields}
 
 
 @pytest.mark.long
-def test_the_scene_itself_has_no_part_in_its_habits(
+def test_the_scene_itself_has_no_part_in_its_shared(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     walked: dict[str, int] = {}
     wrote: dict[str, Parameters] = {}
 
     class Counted(Known):
-        def walk(self, habits: Sequence[float]) -> Validation:
+        def walk(self, shared: Sequence[float]) -> Validation:
             walked[self.name] = walked.get(self.name, 0) + 1
-            return super().walk(habits)
+            return super().walk(shared)
 
     monkeypatch.setattr(guided, "Place", Counted)
     monkeypatch.setattr(

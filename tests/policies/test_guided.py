@@ -211,6 +211,14 @@ def test_a_scene_may_have_parameters_of_its_own(tmp_path: Path) -> None:
     assert not policy_source("guided-walker", plaza).per_split
     with pytest.raises(WeightsError, match="got no parameters for fold1; expected a number for"):
         parameters_of(own, "fold1")
+    splits["full"]["avoid_m"], splits["full"]["bow"] = -1.0, float("nan")
+    file.write_text(json.dumps({"command": "none", "elsewhere": {}, "splits": splits}))
+    with pytest.raises(WeightsError, match="(JSON|positive)"):
+        parameters_of(own, "full")
+    splits["full"]["bow"] = 0.0
+    file.write_text(json.dumps({"command": "none", "elsewhere": {}, "splits": splits}))
+    with pytest.raises(WeightsError, match="got bow = 0, avoid_m = -1 for full; expected positive"):
+        parameters_of(own, "full")
     del splits["full"]["bow"]
     file.write_text(json.dumps({"command": "none", "elsewhere": {}, "splits": splits}))
     with pytest.raises(WeightsError, match="expected a number for each of speed_s"):

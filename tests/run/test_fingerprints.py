@@ -26,6 +26,7 @@ PAIRS = [
     ("block-replay", "social-force"),
     ("poisson-gmm", "random"),
     ("poisson-gmm", "speed-model"),
+    ("poisson-gmm", "guided-walker"),
     ("renewal-gmm", "straight"),
     ("cox-gmm", "straight"),
     ("cox-plans", "straight"),
@@ -76,6 +77,7 @@ def changed(before: dict[str, str], after: dict[str, str]) -> set[str]:
         ("spawn/plans/files.py", "", "ANOTHER = 1\n", {"cox-plans straight"}),
         ("spawn/block_replay.py", "", "ANOTHER = 1\n", {"block-replay social-force"}),
         ("policies/speed_model.py", "", "ANOTHER = 1\n", {"poisson-gmm speed-model"}),
+        ("policies/guided.py", "", "ANOTHER = 1\n", {"poisson-gmm guided-walker"}),
         ("policies/network.py", "", "ANOTHER = 1\n", {"ntpp-gmm anticipate-any"}),
         ("../baselines/orca.py", "", "ANOTHER = 1\n", {"cox-gmm crowdbench.baselines.orca:ORCA"}),
     ],
@@ -96,6 +98,7 @@ def test_a_change_of_code_voids_what_runs_it(
     [
         ("cox-gmm.json", {p for p in ALL if p.startswith(("cox-gmm ", "cox-plans "))}),
         ("plans.json", {"cox-plans straight"}),
+        ("guided-walker.json", {"poisson-gmm guided-walker"}),
         ("ntpp-gmm.safetensors", {"ntpp-gmm anticipate-any"}),
         ("areas.json", ALL),
         ("reference.json.gz", set()),

@@ -10,8 +10,7 @@ from crowdbench.leaderboard.submission.errors import Problems
 from crowdbench.leaderboard.submission.layout import NETWORK, Layout, splits_of
 from crowdbench.leaderboard.submission.limits import LARGEST_FITS
 from crowdbench.leaderboard.submission.schema import FILE, Declared
-from crowdbench.policies import GuidedWalker, OnnxPolicy, PolicyCard
-from crowdbench.policies.guided import fits_file
+from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_source, trained_policies
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
@@ -51,8 +50,8 @@ def shipped_files(declared: Declared) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for place in map(load_scene, declared.scenes):
         names = [file for file, model in WEIGHTS.items() if model == declared.shipped_spawn]
-        if declared.shipped_policy == GuidedWalker.name:
-            names.append(fits_file(place).name)
+        if parameters := policy_source(declared.shipped_policy, place).parameters:
+            names.append(parameters.name)
         if declared.shipped_policy in trained_policies(place):
             folder = f"policies/{declared.shipped_policy}"
             names += [f"{folder}/{split}.onnx" for split in splits_of(declared)]
