@@ -3,6 +3,7 @@
 # make test-all      these and the long ones, in one run, so that what they share is made once
 # make test-nightly  trainings, processes and nodes that are killed, and all combinations
 # make coverage      the fast tests, and which share of the lines they run
+# make test-gpu      the kernels for CUDA devices; on one, its worlds are compared with those of the CPU
 # make attack        what hostile submissions, files, numbers and machines can do, tried again
 # make lint          format, lint and types
 # make results       the generated files that are stale (hours); ARGS=--plan only says which and why
@@ -17,7 +18,7 @@ EXTRAS ?= dev,fit,minari,onnx,orca,pedpy,ray,site,tensorboard,torchrl,video,view
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: evaluate test test-all test-nightly attack coverage lint results site clean
+.PHONY: evaluate test test-all test-nightly test-gpu attack coverage lint results site clean
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
@@ -33,6 +34,9 @@ test-all: $(VENV)/dev.stamp
 
 test-nightly: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS) -m "nightly and not slow"
+
+test-gpu:
+	$(MAKE) test VENV=.venv-gpu EXTRAS=dev,gpu ARGS="tests/gpu tests/simulation/test_cuda.py"
 
 attack: $(VENV)/dev.stamp
 	$(BIN)/python tests/attack.py

@@ -1,7 +1,8 @@
 """Compilation by numba, and the store of machine code.
 
 `compiled` compiles a function when it is called first and stores its machine code for later
-processes. `Kernel` does so for functions over many persons, for one thread and for several.
+processes. `Kernel` does so for functions over many persons, for one thread and for several, and
+`subroutine` compiles what they call.
 
 numba stores machine code by the file of a function and does not notice when a function or a
 constant of another file changes. Here, stored code is used only if the code of the function's
@@ -61,6 +62,17 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         with suppress(RuntimeError):  # there is no folder for it
             dispatcher._cache = _Store(function, dispatcher.targetoptions)  # type: ignore[attr-defined]
     return dispatcher
+
+
+def subroutine(function: Callable[..., Any]) -> Any:
+    """Decorator: a function that kernels call, for one person or a few.
+
+    It must not create arrays. numba counts references to all arrays that a function is given, which
+    would cost more than what such a function does; here it does not. CUDA kernels call the same
+    functions (`crowdbench.simulation.cuda`).
+    """
+    options: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+    return numba.njit(**options)(function)
 
 
 class Kernel:

@@ -20,7 +20,7 @@ from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.ceilings import FILE, Ceiling, Ceilings
 from crowdbench.scoring.scorecard import WALK_ANCHOR
-from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+from crowdbench.spawn.names import PERTURBED
 
 POLICY = "anticipate"
 PROTOCOL = "heldout"

@@ -21,8 +21,7 @@ from crowdbench.scoring.energy import RESAMPLES, Embedded, Energy, pair_mean
 from crowdbench.scoring.l1_kernel import l1_distances
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, WALK_ANCHOR, Scale, read_anchors
-from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import PERTURBED, replays
 from studies.ceilings import perturbed_of
 from studies.markdown import flowed, table
 

@@ -31,7 +31,7 @@ from crowdbench.registry import (
 from crowdbench.run.jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 PLAZA = load_scene("plaza-v0")
 SHIPPED = [name for name in SPAWN_MODELS if not name.endswith("-paper")]

@@ -83,7 +83,7 @@ def sample(
     from crowdbench.registry import GENERATED
     from crowdbench.run.episode import arrivals, check_horizon
     from crowdbench.spawn.export import write_arrivals
-    from crowdbench.spawn.perturbed_replay import replays
+    from crowdbench.spawn.names import replays
     from crowdbench.spawn.steering.scenario import split_scenario
 
     find_own_code()

@@ -12,8 +12,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.fits import check_split
-from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
-from crowdbench.spawn.perturbed_replay import with_key
+from crowdbench.spawn.names import PERTURBED, with_key
 from crowdbench.spawn.plans.files import FILE as PLANS
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario

@@ -19,7 +19,7 @@ from crowdbench.policies import OnnxPolicy, Policy
 from crowdbench.run.resolved import Resolved
 from crowdbench.run.rollout import alike, batchable
 from crowdbench.scene import Scene
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 Pair = tuple[str, str]
 Models = tuple[str, str, str, str]

@@ -36,7 +36,7 @@ from crowdbench.scoring.scorecard import (
     read_anchors,
 )
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 FINISHED = (OUTCOMES.index("goal"), OUTCOMES.index("exit"), OUTCOMES.index("timeout"))
 TRAJECTORIES = "trajectories"

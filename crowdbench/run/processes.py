@@ -17,7 +17,8 @@ from crowdbench.errors import OutputError
 from crowdbench.files import unwritable
 
 _PR_SET_PDEATHSIG = 1
-
+AGAIN_S = 0.05
+"""Time after which a signal that arrived where nothing can be raised is raised again."""
 
 LOCAL = "local"
 """Name of the engine of this machine; see `crowdbench.run.executor.engine`."""
@@ -39,10 +40,24 @@ def stopping_in_order() -> Iterator[None]:
     The exit code is that of shells, 128 + the signal's number. Signals that are ignored stay
     ignored (`nohup`).
     """
+    waiting: list[threading.Timer] = []
+    usual = sys.unraisablehook
 
     def stop(number: int, frame: object) -> None:
         Stopped.last = Stopped(128 + number)
         raise Stopped.last
+
+    def ignored(what: Any) -> None:
+        # Python drops what is raised in a finalizer or in the callback of a weak reference. If the
+        # signal arrived there, it is raised once more, when that function has returned.
+        if isinstance(what.exc_value, Stopped):
+            number = what.exc_value.code - 128
+            main = threading.main_thread().ident or 0
+            waiting.append(threading.Timer(AGAIN_S, signal.pthread_kill, (main, number)))
+            waiting[-1].daemon = True
+            waiting[-1].start()
+        else:
+            usual(what)
 
     changed = []
     if threading.current_thread() is threading.main_thread():
@@ -51,9 +66,18 @@ def stopping_in_order() -> Iterator[None]:
             if number is not None and signal.getsignal(number) == signal.SIG_DFL:
                 signal.signal(number, stop)
                 changed.append(number)
+    sys.unraisablehook, Stopped.last = ignored, None
     try:
         yield
+    except Exception as error:
+        # Libraries in C may replace what is raised in them by an error of their own.
+        if Stopped.last is not None:
+            raise Stopped.last from error
+        raise
     finally:
+        sys.unraisablehook = usual
+        for timer in waiting:
+            timer.cancel()
         for number in changed:
             signal.signal(number, signal.SIG_DFL)
 

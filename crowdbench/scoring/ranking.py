@@ -18,7 +18,7 @@ from crowdbench.scoring.score import (
     score_of,
     walk_score,
 )
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 from crowdbench.spawn.steering.scenario import split_scenario
 
 RankedBy = Literal["walk", "overall", "crowd"]

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from crowdbench.compilation import subroutine
 from crowdbench.simulation.walls import cell_of
 
 CHUNK = 10  # persons per unit of work of a thread
@@ -46,7 +46,7 @@ class Cells(NamedTuple):
         )
 
 
-@njit(error_model="numpy")
+@subroutine
 def sort_into_cells(w, alive, ended, position, wider, grid, start, sorted_xy, sorted_slot):
     """Counting sort of a world's persons by cell, including those who have just ended.
 
@@ -72,7 +72,7 @@ def sort_into_cells(w, alive, ended, position, wider, grid, start, sorted_xy, so
     return widest
 
 
-@njit(error_model="numpy")
+@subroutine
 def list_persons(cells):
     """Write everyone to observe to `cells.person` and return their number.
 
@@ -88,7 +88,7 @@ def list_persons(cells):
     return total
 
 
-@njit(error_model="numpy")
+@subroutine
 def neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_slot, near, who):
     """Find the people closer than `far` metres and return their number n.
 

@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from crowdbench.compilation import subroutine
 from crowdbench.simulation.half_planes import project
-from crowdbench.simulation.rules import walk
+from crowdbench.simulation.rules import uniform, walk
 from crowdbench.simulation.walls import CELL_M, cell_of
 
 SUBSTEP_S = 0.1
@@ -100,51 +101,68 @@ def push_through(w, frame, dt, slots, bodies, walls):
     `bodies.at` and `bodies.command` are the positions before it and the commanded displacements of
     one sub-step. Sets `hit_wall`, adds to `held`, and keeps `blocked` and `aside` of `slots`.
     """
-    at, moved, command, order = bodies.at, bodies.moved, bodies.command, bodies.order
-    met, held = bodies.met, slots.held
-    scripted, blocked, aside = slots.scripted, slots.blocked, slots.aside
-    step_s = dt / bodies.substeps
+    at, order, step_s = bodies.at, bodies.order, dt / bodies.substeps
     count, part, widest = _walk_freely(w, step_s, slots, bodies, walls)
     plane = np.empty((PLANES, 3))
     for sub in range(bodies.substeps):
         for k in range(count):  # recorded people walk as recorded; all others see where they are
-            i = order[w, k]
-            if scripted[w, i]:
-                at[w, i, 0] += command[w, i, 0]
-                at[w, i, 1] += command[w, i, 1]
+            walk_script(w, order[w, k], slots, bodies)
         _sort(w, count, at, order)
         for k in range(count):
-            i = order[w, k]
-            if not scripted[w, i]:
-                dx, dy, bodiless, planes = _free_way(
-                    w, k, count, frame * bodies.substeps + sub, step_s, part, widest, slots, bodies,
-                    walls, plane,
-                )  # fmt: skip
-                moved[w, i, 0], moved[w, i, 1] = dx, dy
-                if bodiless > 0:
-                    cx, cy = command[w, i, 0], command[w, i, 1]
-                    share = _held(cx, cy, dx, dy, plane, bodiless, planes)
-                    held[w, i] = np.float64(held[w, i]) + share / bodies.substeps
+            choose_way(w, k, count, frame * bodies.substeps + sub, step_s, part, widest, slots,
+                       bodies, walls, plane)  # fmt: skip
         for k in range(count):
-            i = order[w, k]
-            if scripted[w, i]:
-                continue
-            dx, dy = moved[w, i, 0], moved[w, i, 1]
-            at[w, i, 0] += dx
-            at[w, i, 1] += dy
-            cx, cy = command[w, i, 0], command[w, i, 1]
-            blocked_s = np.float64(blocked[w, i])
-            aside[w, i] = max(0.0, np.float64(aside[w, i]) - step_s)
-            if dx * cx + dy * cy < BLOCKED * (cx * cx + cy * cy):
-                blocked_s += step_s
-                if met[w, i] and blocked_s > YIELD_S:
-                    aside[w, i] = ASIDE_S
-            else:
-                blocked_s -= CALMING * step_s
-            blocked[w, i] = min(DESPERATE_S, max(0.0, blocked_s))
+            go(w, order[w, k], step_s, slots, bodies)
 
 
-@njit(error_model="numpy")
+@subroutine
+def walk_script(w, i, slots, bodies):
+    """Walk a recorded person by a sub-step."""
+    if slots.scripted[w, i]:
+        bodies.at[w, i, 0] += bodies.command[w, i, 0]
+        bodies.at[w, i, 1] += bodies.command[w, i, 1]
+
+
+@subroutine
+def choose_way(w, k, count, tick, step_s, part, widest, slots, bodies, walls, plane):
+    """Write the displacement in a sub-step of the k-th by x to `bodies.moved`, and add to `held`.
+
+    `plane` (`PLANES`, 3) is working memory.
+    """
+    i = bodies.order[w, k]
+    if slots.scripted[w, i]:
+        return
+    dx, dy, bodiless, planes = _free_way(
+        w, k, count, tick, step_s, part, widest, slots, bodies, walls, plane
+    )
+    bodies.moved[w, i, 0], bodies.moved[w, i, 1] = dx, dy
+    if bodiless > 0:
+        cx, cy = bodies.command[w, i, 0], bodies.command[w, i, 1]
+        share = _held(cx, cy, dx, dy, plane, bodiless, planes)
+        slots.held[w, i] = np.float64(slots.held[w, i]) + share / bodies.substeps
+
+
+@subroutine
+def go(w, i, step_s, slots, bodies):
+    """Walk a person by the displacement in `bodies.moved`; keep `blocked` and `aside`."""
+    if slots.scripted[w, i]:
+        return
+    dx, dy = bodies.moved[w, i, 0], bodies.moved[w, i, 1]
+    bodies.at[w, i, 0] += dx
+    bodies.at[w, i, 1] += dy
+    cx, cy = bodies.command[w, i, 0], bodies.command[w, i, 1]
+    blocked_s = np.float64(slots.blocked[w, i])
+    slots.aside[w, i] = max(0.0, np.float64(slots.aside[w, i]) - step_s)
+    if dx * cx + dy * cy < BLOCKED * (cx * cx + cy * cy):
+        blocked_s += step_s
+        if bodies.met[w, i] and blocked_s > YIELD_S:
+            slots.aside[w, i] = ASIDE_S
+    else:
+        blocked_s -= CALMING * step_s
+    slots.blocked[w, i] = min(DESPERATE_S, max(0.0, blocked_s))
+
+
+@subroutine
 def _walk_freely(w, step_s, slots, bodies, walls):
     """Walk those who can meet nobody and no wall in this step, and list the others in `order`.
 
@@ -170,21 +188,19 @@ def _walk_freely(w, step_s, slots, bodies, walls):
     part = (
         PART_MPS * step_s if recorded or _overlap(w, count, two, widest, wider, at, order) else 0.0
     )
-    grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     for k in range(count):
         i = order[w, k]
         x, y, mine = at[w, i, 0], at[w, i, 1], bodies.moved[w, i, 0] + part
-        room = bodies.radius + REACH_M + (bodies.substeps + 1) * mine
         mine_wide = two + np.float64(wider[w, i])
-        if walls.clear[cell_of(x, y, grid)] < room:
+        if near_wall(x, y, mine, bodies, walls):
             busy[w, i] = True
         for m in range(k + 1, count):
             j = order[w, m]
             ex, ey = at[w, j, 0] - x, at[w, j, 1] - y
-            if ex > _reach(mine, longest + part, mine_wide + widest, share, bodies.substeps):
+            if ex > reach_of(mine, longest + part, mine_wide + widest, share, bodies.substeps):
                 break
             touch = mine_wide + np.float64(wider[w, j])
-            reach = _reach(mine, bodies.moved[w, j, 0] + part, touch, share, bodies.substeps)
+            reach = reach_of(mine, bodies.moved[w, j, 0] + part, touch, share, bodies.substeps)
             if ex * ex + ey * ey < reach * reach:
                 busy[w, i] = True
                 busy[w, j] = True
@@ -200,8 +216,16 @@ def _walk_freely(w, step_s, slots, bodies, walls):
     return others, part, widest
 
 
-@njit(error_model="numpy")
-def _reach(mine, others, touch, share, parts):
+@subroutine
+def near_wall(x, y, mine, bodies, walls):
+    """Whether somebody can meet a wall in a step; `mine` is its longest way in a sub-step."""
+    grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
+    room = bodies.radius + REACH_M + (bodies.substeps + 1) * mine
+    return walls.clear[cell_of(x, y, grid)] < room
+
+
+@subroutine
+def reach_of(mine, others, touch, share, parts):
     """Distance beyond which two people do not matter to each other in a step.
 
     `mine` and `others` are the longest ways that they can go in a sub-step, and `touch` is the sum
@@ -211,7 +235,7 @@ def _reach(mine, others, touch, share, parts):
     return touch + max(longer / share, TOUCH_M) + REACH_M + parts * (mine + others)
 
 
-@njit(error_model="numpy")
+@subroutine
 def _overlap(w, count, two, widest, wider, at, order):
     """Whether two bodies overlap; `two` is a person's diameter, `widest` the largest excess."""
     for k in range(count):
@@ -228,7 +252,7 @@ def _overlap(w, count, two, widest, wider, at, order):
     return False
 
 
-@njit(error_model="numpy")
+@subroutine
 def _sort(w, count, at, order):
     """Insertion sort by x, then y: nearly sorted from the second sub-step on."""
     for k in range(1, count):
@@ -244,7 +268,7 @@ def _sort(w, count, at, order):
         order[w, m + 1] = i
 
 
-@njit(error_model="numpy")
+@subroutine
 def _free_way(w, k, count, tick, step_s, part, widest, slots, bodies, walls, plane):
     """Displacement in this sub-step of the k-th by x; `part` and `widest` as in `_walk_freely`.
 
@@ -328,7 +352,7 @@ def _free_way(w, k, count, tick, step_s, part, widest, slots, bodies, walls, pla
     return dx, dy, bodiless, planes
 
 
-@njit(error_model="numpy")
+@subroutine
 def _held(cx, cy, dx, dy, plane, bodiless, planes):
     """Share of the command c that was not walked by d, where bodies do not allow all of c.
 
@@ -349,7 +373,7 @@ def _held(cx, cy, dx, dy, plane, bodiless, planes):
     return max(0.0, squared - wall - max(0.0, dx * cx + dy * cy)) / squared
 
 
-@njit(error_model="numpy")
+@subroutine
 def _turned(dx, dy, x, y, tick, blocked, aside):
     """The command of somebody who is blocked or keeps to the right."""
     share = (np.float64(blocked) - RESTLESS_S) / (DESPERATE_S - RESTLESS_S)
@@ -359,25 +383,10 @@ def _turned(dx, dy, x, y, tick, blocked, aside):
     return dx * cos - dy * sin, dx * sin + dy * cos
 
 
-@njit(error_model="numpy")
+@subroutine
 def _to_segment(x, y, segment):
     """Vector from a position to the nearest point of a segment, in metres."""
     ax, ay = segment[0] - x, segment[1] - y
     ex, ey = segment[2] - segment[0], segment[3] - segment[1]
     t = min(1.0, max(0.0, -(ax * ex + ay * ey) / (ex * ex + ey * ey)))
     return ax + t * ex, ay + t * ey
-
-
-@njit(error_model="numpy")
-def uniform(x, y, tick):
-    """A number in [0, 1) from a position in metres and a count, by mixing their bits.
-
-    The mixing is that of MurmurHash3's 64-bit finalizer.
-    """
-    h = np.uint64(tick)
-    for part in (np.int64(x * 1073741824.0), np.int64(y * 1073741824.0)):
-        h = (h ^ np.uint64(part)) * np.uint64(0xFF51AFD7ED558CCD)
-        h ^= h >> np.uint64(33)
-        h *= np.uint64(0xC4CEB9FE1A85EC53)
-        h ^= h >> np.uint64(33)
-    return np.float64(h >> np.uint64(11)) / 9007199254740992.0

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numba import njit
 
-from crowdbench.compilation import compiled
+from crowdbench.compilation import compiled, subroutine
 from crowdbench.scene import Bounds, Wall
 from crowdbench.simulation.rules import distance_to_segment
 
@@ -92,7 +91,7 @@ def _approach(distance, x, y, segments):
                 distance[row, column] = min(distance[row, column], off)
 
 
-@njit(error_model="numpy")
+@subroutine
 def free_distance(x, y, distance, grid):
     """Interpolated distance of a point from walls and bounds in metres, 0 inside or outside them.
 

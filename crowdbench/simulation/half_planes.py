@@ -1,13 +1,14 @@
 """Vectors that half-planes allow."""
 
 import numpy as np
-from numba import njit
+
+from crowdbench.compilation import subroutine
 
 SLACK_M = 1e-12
 """Rounding error of half-planes, in metres."""
 
 
-@njit(error_model="numpy")
+@subroutine
 def project(dx, dy, plane, count):
     """The vector nearest to d with n·v ≤ c for each of the first `count` rows (n, c), all c ≥ 0.
 
@@ -40,7 +41,7 @@ def project(dx, dy, plane, count):
     return best_x, best_y
 
 
-@njit(error_model="numpy")
+@subroutine
 def _allowed(x, y, plane, count, k, m):
     """Whether all half-planes but k and m, on whose lines the vector lies, allow it."""
     for n in range(count):

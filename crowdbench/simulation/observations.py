@@ -35,9 +35,9 @@ from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32
-from numba import njit, prange
+from numba import prange
 
-from crowdbench.compilation import Kernel
+from crowdbench.compilation import Kernel, subroutine
 from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.plugins import instance_of, names, part
 from crowdbench.simulation import social
@@ -186,14 +186,10 @@ def observe(
     """
     # Arrays are unpacked once, because each access through a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
-    position, velocity, speed, wider = slots.position, slots.velocity, slots.speed, slots.wider
+    position, wider = slots.position, slots.wider
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
     grid = (cells.origin[0], cells.origin[1], cells.size, cells.columns, cells.rows)
-    wall_grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
-    cos, sin, lines = walls.cos, walls.sin, walls.lines
-    cos32, sin32 = cos.astype(np.float32), sin.astype(np.float32)
-    max_speed = constants.max_speed
-    ray_start, meeting = walls.ray_start, walls.meeting
+    cos32, sin32 = walls.cos.astype(np.float32), walls.sin.astype(np.float32)
     widest = np.empty(alive.shape[0])
     for w in prange(alive.shape[0]):
         widest[w] = sort_into_cells(w, alive, ended, position, wider, grid, start, sorted_xy,
@@ -204,60 +200,61 @@ def observe(
         who = np.empty(alive.shape[1] + 1, np.int32)
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
-            remaining[w, i] = _see_itself(w, i, position, velocity, target, beyond, max_speed, out)
-            if head > 5:
-                out[w, i, 5] = min(1.0, speed[w, i] / max_speed)
+            me = out[w, i]
+            remaining[w, i] = see_itself(w, i, slots, target, beyond, head, reach, constants, me)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
-            if head > 6:
-                out[w, i, 6] = _near(x - constants.x_min, reach)
-                out[w, i, 7] = _near(constants.x_max - x, reach)
-                out[w, i, 8] = _near(y - constants.y_min, reach)
-                out[w, i, 9] = _near(constants.y_max - y, reach)
-            cell = cell_of(x, y, wall_grid)
-            rays = out[w, i, head:]
-            _see_walls(x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting, reach,
-                       rays)  # fmt: skip
+            rays = me[head:]
+            see_walls(x, y, walls, reach, rays)
             count = neighbours(w, i, x, y, reach + radius + widest[w], ended, spawned, grid, start,
                                sorted_xy, sorted_slot, near, who)  # fmt: skip
             squared = np.float32(np.inf)
             for k in range(count):
-                gap = near[k, 0] * near[k, 0] + near[k, 1] * near[k, 1]
                 wide = np.float64(wider[w, who[k]])
-                _see_disc(near[k, 0], near[k, 1], radius + wide, cos32, sin32, rays)
-                if wide > 0.0:
-                    gap = np.float32(max(0.0, math.sqrt(gap) - wide) ** 2)
+                gap = see_person(near[k, 0], near[k, 1], wide, radius, cos32, sin32, rays)
                 squared = min(squared, gap)
             nearest[w, i] = math.sqrt(squared)
             for k in range(len(rays)):
                 rays[k] /= np.float32(reach)
 
 
-@njit(error_model="numpy")
-def _see_itself(w, i, position, velocity, target, beyond, max_speed, out):
-    gx = np.float64(target[w, i, 0]) - np.float64(position[w, i, 0])
-    gy = np.float64(target[w, i, 1]) - np.float64(position[w, i, 1])
+@subroutine
+def see_itself(w, i, slots, target, beyond, head, reach, constants, me):
+    """Write the parts before the rays to `me` and return the length of the path in metres."""
+    position, velocity, max_speed = slots.position, slots.velocity, constants.max_speed
+    x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
+    gx, gy = np.float64(target[w, i, 0]) - x, np.float64(target[w, i, 1]) - y
     distance = math.sqrt(gx * gx + gy * gy)
-    out[w, i, 0] = min(1.0, max(-1.0, velocity[w, i, 0] / max_speed))
-    out[w, i, 1] = min(1.0, max(-1.0, velocity[w, i, 1] / max_speed))
+    me[0] = min(1.0, max(-1.0, velocity[w, i, 0] / max_speed))
+    me[1] = min(1.0, max(-1.0, velocity[w, i, 1] / max_speed))
     remaining = distance + beyond[w, i]
-    out[w, i, 2] = min(remaining, GOAL_RANGE_M) / GOAL_RANGE_M
-    out[w, i, 3] = gx / distance if distance > 0.0 else 1.0
-    out[w, i, 4] = gy / distance if distance > 0.0 else 0.0
+    me[2] = min(remaining, GOAL_RANGE_M) / GOAL_RANGE_M
+    me[3] = gx / distance if distance > 0.0 else 1.0
+    me[4] = gy / distance if distance > 0.0 else 0.0
+    if head > 5:
+        me[5] = min(1.0, slots.speed[w, i] / max_speed)
+    if head > 6:
+        me[6] = _near(x - constants.x_min, reach)
+        me[7] = _near(constants.x_max - x, reach)
+        me[8] = _near(y - constants.y_min, reach)
+        me[9] = _near(constants.y_max - y, reach)
     return remaining
 
 
-@njit(error_model="numpy")
+@subroutine
 def _near(distance, reach):
     """Scaled distance to a bound: 0 at and beyond the bound, 1 at `reach` or more."""
     return min(max(distance, 0.0), reach) / reach
 
 
-@njit(error_model="numpy")
-def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
+@subroutine
+def see_walls(x, y, walls, reach, rays):
     """Set each ray to the distance of the nearest wall, at most `reach`."""
-    rays[:] = reach
+    cos, sin, lines, meeting = walls.cos, walls.sin, walls.lines, walls.meeting
+    cell = cell_of(x, y, (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows))
+    for k in range(len(rays)):
+        rays[k] = reach
     ray, across, along = -1, 0.0, 0.0
-    for m in range(first, stop):
+    for m in range(walls.ray_start[cell], walls.ray_start[cell + 1]):
         r, s = meeting[m, 0], meeting[m, 1]
         if r != ray:
             ray, across, along = r, y * cos[r] - x * sin[r], x * cos[r] + y * sin[r]
@@ -267,7 +264,20 @@ def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
                 rays[r] = t
 
 
-@njit(error_model="numpy")
+@subroutine
+def see_person(dx, dy, wide, radius, cos, sin, rays):
+    """Shorten the rays that hit somebody at (dx, dy) who is `wide` metres wider than a person.
+
+    Returns the square of the distance, less by how much it is wider.
+    """
+    gap = dx * dx + dy * dy
+    _see_disc(dx, dy, radius + wide, cos, sin, rays)
+    if wide > 0.0:
+        gap = np.float32(max(0.0, math.sqrt(gap) - wide) ** 2)
+    return gap
+
+
+@subroutine
 def _see_disc(dx, dy, radius, cos, sin, rays):
     """Shorten the rays that hit the disc of `radius` at (dx, dy).
 

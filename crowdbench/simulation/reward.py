@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit, prange
 
-from crowdbench.compilation import Kernel
+from crowdbench.compilation import Kernel, subroutine
 from crowdbench.errors import OwnCodeError, SettingError, checked
 from crowdbench.plugins import blaming
 from crowdbench.simulation.contact import AHEAD, HEADWAY_S
@@ -195,55 +195,66 @@ def pay(
     `person` and `behind` (W, N) are kept from step to step: whose schedule it is, and by how many
     metres the person is behind it. `apart` (W, N) is working memory.
     """
-    alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
-    position, velocity, speed = slots.position, slots.velocity, slots.speed
-    commanded, held = slots.commanded, slots.held
-    stage_before, stage, event, via = slots.stage_before, slots.stage, slots.event, queue.via
-    for w in prange(alive.shape[0]):
-        measure_companions(w, alive, ended, position, event, queue.group, apart)
-        for i in range(alive.shape[1]):
-            if person[w, i] != slots.person[w, i]:  # a new person starts on schedule
-                person[w, i] = slots.person[w, i]
-                behind[w, i] = 0.0
-            if (alive[w, i] and not spawned[w, i]) or ended[w, i] != 0:
-                to_via = np.nan
-                if stage_before[w, i] != TO_GOAL:
-                    dx = np.float64(via[w, event[w, i], 0]) - np.float64(position[w, i, 0])
-                    dy = np.float64(via[w, event[w, i], 1]) - np.float64(position[w, i, 1])
-                    to_via = math.sqrt(dx * dx + dy * dy)
-                vx, vy = np.float64(velocity[w, i, 0]), np.float64(velocity[w, i, 1])
-                pace_mps, preferred = math.sqrt(vx * vx + vy * vy), np.float64(speed[w, i])
-                due_mps = preferred
-                if body_radius > 0.0 and pace_mps < preferred:
-                    ahead = speed_ahead(w, i, alive, ended, position, towards, body_radius)
-                    due_mps = max(pace_mps, min(preferred, ahead))
-                before = np.float64(behind[w, i])
-                progress, arrival, pace, stop, late = trip_parts(
-                    stage_before[w, i], stage[w, i], ended[w, i] == GOAL,
-                    np.float64(remaining_before[w, i]), np.float64(remaining[w, i]), to_via, before,
-                    preferred, due_mps, pace_mps, dt, goal_radius,
-                )  # fmt: skip
-                behind[w, i] = late
-                usual = preferred * dt
-                depth = max(0.0, 1.0 - np.float64(nearest[w, i]) / diameter)
-                wall = dt if hit_wall[w, i] else 0.0
-                cx, cy = np.float64(commanded[w, i, 0]), np.float64(commanded[w, i, 1])
-                pushed = min(math.sqrt(cx * cx + cy * cy), preferred) * np.float64(held[w, i])
-                beyond = max(0.0, np.float64(apart[w, i]) - TOGETHER_M) / APART_M
-                me = out[w, i]
-                me[0] = weights[0] * progress
-                me[1] = weights[1] * arrival
-                me[2] = weights[2] * dt * depth
-                me[3] = weights[3] * wall
-                me[4] = weights[4] * pace
-                me[5] = weights[5] * stop
-                me[6] = weights[6] * usual * bounded(beyond)
-                me[7] = weights[7] * dt * pushed / preferred if preferred > 0.0 else 0.0
-                for k in range(me.shape[0]):
-                    me[k] += np.float32(0.0)  # no −0.0
+    for w in prange(slots.alive.shape[0]):
+        measure_companions(w, slots.alive, slots.ended, slots.position, slots.event, queue.group,
+                           apart)  # fmt: skip
+        for i in range(slots.alive.shape[1]):
+            pay_person(
+                w, i, slots, queue, towards, remaining, remaining_before, nearest, dt, goal_radius,
+                diameter, body_radius, weights, person, behind, apart[w, i], out,
+            )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@subroutine
+def pay_person(
+    w, i, slots, queue, towards, remaining, remaining_before, nearest, dt, goal_radius, diameter,
+    body_radius, weights, person, behind, apart, out,
+):  # fmt: skip
+    """The same for one person, whose nearest companion is `apart` metres away (0 without one)."""
+    if person[w, i] != slots.person[w, i]:  # a new person starts on schedule
+        person[w, i] = slots.person[w, i]
+        behind[w, i] = 0.0
+    if not ((slots.alive[w, i] and not slots.spawned[w, i]) or slots.ended[w, i] != 0):
+        return
+    to_via = np.nan
+    if slots.stage_before[w, i] != TO_GOAL:
+        e = slots.event[w, i]
+        dx = np.float64(queue.via[w, e, 0]) - np.float64(slots.position[w, i, 0])
+        dy = np.float64(queue.via[w, e, 1]) - np.float64(slots.position[w, i, 1])
+        to_via = math.sqrt(dx * dx + dy * dy)
+    vx, vy = np.float64(slots.velocity[w, i, 0]), np.float64(slots.velocity[w, i, 1])
+    pace_mps, preferred = math.sqrt(vx * vx + vy * vy), np.float64(slots.speed[w, i])
+    due_mps = preferred
+    if body_radius > 0.0 and pace_mps < preferred:
+        ahead = speed_ahead(w, i, slots.alive, slots.ended, slots.position, towards, body_radius)
+        due_mps = max(pace_mps, min(preferred, ahead))
+    before = np.float64(behind[w, i])
+    progress, arrival, pace, stop, late = trip_parts(
+        slots.stage_before[w, i], slots.stage[w, i], slots.ended[w, i] == GOAL,
+        np.float64(remaining_before[w, i]), np.float64(remaining[w, i]), to_via, before,
+        preferred, due_mps, pace_mps, dt, goal_radius,
+    )  # fmt: skip
+    behind[w, i] = late
+    usual = preferred * dt
+    depth = max(0.0, 1.0 - np.float64(nearest[w, i]) / diameter)
+    wall = dt if slots.hit_wall[w, i] else 0.0
+    cx, cy = np.float64(slots.commanded[w, i, 0]), np.float64(slots.commanded[w, i, 1])
+    pushed = min(math.sqrt(cx * cx + cy * cy), preferred) * np.float64(slots.held[w, i])
+    beyond = max(0.0, np.float64(apart) - TOGETHER_M) / APART_M
+    me = out[w, i]
+    me[0] = weights[0] * progress
+    me[1] = weights[1] * arrival
+    me[2] = weights[2] * dt * depth
+    me[3] = weights[3] * wall
+    me[4] = weights[4] * pace
+    me[5] = weights[5] * stop
+    me[6] = weights[6] * usual * bounded(beyond)
+    me[7] = weights[7] * dt * pushed / preferred if preferred > 0.0 else 0.0
+    for k in range(me.shape[0]):
+        me[k] += np.float32(0.0)  # no −0.0
+
+
+@subroutine
 def trip_parts(
     stage_before, stage, arrived, remaining_before, remaining, to_via, behind, preferred, due_mps,
     speed, dt, goal_radius,
@@ -280,7 +291,7 @@ def trip_parts(
     return progress, arrival, usual * bounded((speed - due_mps) / PACE_MPS), 0.0, late
 
 
-@njit(error_model="numpy")
+@subroutine
 def speed_ahead(w, i, alive, ended, position, towards, radius):
     """The speed in m/s towards the next point of its path that bodies ahead of a person admit.
 
@@ -301,7 +312,7 @@ def speed_ahead(w, i, alive, ended, position, towards, radius):
     return max(0.0, least - 2.0 * radius) / HEADWAY_S
 
 
-@njit(error_model="numpy")
+@subroutine
 def bounded(x):
     """x²/(1 + x²): 0 at 0, half at 1, at most 1."""
     return x * x / (1.0 + x * x)

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 from jaxtyping import Float, Int, Real
-from numba import njit, prange
+from numba import prange
 
-from crowdbench.compilation import Kernel, compiled
+from crowdbench.compilation import Kernel, compiled, subroutine
 from crowdbench.scene import Bounds, Scene, Wall
 from crowdbench.simulation.rules import distance_to_segment
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
@@ -66,6 +66,20 @@ class Sight(NamedTuple):
         return cls(segments, lower, columns, rows, start, near, free, blockers)
 
 
+class RouteTables(NamedTuple):
+    """The visibility graph of a scene with `C` corners."""
+
+    corners: np.ndarray
+    """(C, 2) float64 positions in metres."""
+    between: np.ndarray
+    """(C, C) float64: lengths of the shortest paths between corners in metres."""
+    sight: Sight
+
+
+NO_ROUTES = RouteTables(np.zeros((0, 2)), np.zeros((0, 0)), Sight.past(np.zeros((0, 4)), 0))
+"""Without walls, all ways are straight."""
+
+
 class Routes:
     """Computes the next point on the shortest path of each person to its goal.
 
@@ -93,6 +107,11 @@ class Routes:
             sight = Sight.past(scene.wall_segments, len(corners))
             _GRAPHS[key] = corners, _distances(corners, scene), sight
         return cls(*_GRAPHS[key])
+
+    @property
+    def tables(self) -> RouteTables:
+        """The visibility graph."""
+        return RouteTables(self._corners, self._between, self._sight)
 
     def next_of(
         self,
@@ -187,19 +206,23 @@ def _next(world, slot, position, goal, beyond, known, of, seen, to_goal, corners
     corner_x, corner_y = corners[:, 0].copy(), corners[:, 1].copy()
     for chunk in prange((len(slot) + CHUNK - 1) // CHUNK):
         ways, tried = np.empty(len(corners)), np.empty(len(corners), np.int64)
+        spare = np.empty(5)
         for a in range(chunk * CHUNK, min(len(slot), (chunk + 1) * CHUNK)):
-            _next_of(
+            next_of(
                 world[a], slot[a], position[a], goal[a], beyond, a, known, of, seen, to_goal,
-                corners, corner_x, corner_y, between, sight, ways, tried,
+                corners, corner_x, corner_y, between, sight, ways, tried, spare,
             )  # fmt: skip
 
 
-@njit(error_model="numpy")
-def _next_of(
+@subroutine
+def next_of(
     w, i, at, goal, beyond, a, known, of, seen, to_goal, corners, corner_x, corner_y, between,
-    sight, ways, tried,
+    sight, ways, tried, spare,
 ):  # fmt: skip
-    """The same for one person; `ways` and `tried` are working memory, one number per corner."""
+    """The same for one person.
+
+    `ways` and `tried`, with a number per corner, and `spare`, with five, are working memory.
+    """
     count, blockers = len(corners), sight.blockers
     x, y = at[0], at[1]
     room = seen[w, i]
@@ -212,7 +235,7 @@ def _next_of(
     own = to_goal[w, i]
     if of[w, i, 0] != goal[0] or of[w, i, 1] != goal[1]:
         of[w, i, 0], of[w, i, 1], known[w, i, 1] = goal[0], goal[1], -1
-        _to_goal(goal[0], goal[1], corners, between, sight, own)
+        _to_goal(goal[0], goal[1], corners, between, sight, own, spare)
     cell = _cell(x, y, sight)
     # Usually the next corner is that of the previous step, or one with a shorter path now.
     last, limit = known[w, i, 1], np.inf
@@ -238,7 +261,10 @@ def _next_of(
     # on the shortest path.
     known[w, i, 1] = -1
     for _ in range(few):
-        k = ways[:few].argmin()
+        k = 0
+        for c in range(1, few):
+            if ways[c] < ways[k]:
+                k = c
         best = tried[k]
         wall = -1
         if best != last or limit == np.inf:
@@ -254,10 +280,14 @@ def _next_of(
 
 
 @compiled
-def _to_goal(x, y, corners, between, sight, result):
-    """Write the length of the shortest path from each corner to (x, y) to `result`."""
-    result[:] = np.inf
-    cell, blockers, room = _cell(x, y, sight), sight.blockers, np.empty(5)
+def _to_goal(x, y, corners, between, sight, result, room):
+    """Write the length of the shortest path from each corner to (x, y) to `result`.
+
+    `room` is working memory, see `_blocker`.
+    """
+    for c in range(len(corners)):
+        result[c] = np.inf
+    cell, blockers = _cell(x, y, sight), sight.blockers
     for c in range(len(corners)):
         guess = np.int64(blockers[cell, c])
         wall = _blocker(x, y, corners[c, 0], corners[c, 1], guess, sight, room)
@@ -269,12 +299,12 @@ def _to_goal(x, y, corners, between, sight, result):
             blockers[cell, c] = wall
 
 
-@njit(error_model="numpy")
+@subroutine
 def _cell(x, y, sight):
     return cell_of(x, y, (sight.origin[0], sight.origin[1], CELL_M, sight.columns, sight.rows))
 
 
-@njit(error_model="numpy")
+@subroutine
 def _still_in_sight(x, y, to_x, to_y, room):
     """Whether the line from (x, y) stays in the free corridor of an earlier line to that point."""
     if room[2] != to_x or room[3] != to_y:
@@ -282,7 +312,7 @@ def _still_in_sight(x, y, to_x, to_y, room):
     return distance_to_segment(x, y, room[0], room[1], to_x, to_y) < room[4]
 
 
-@njit(error_model="numpy")
+@subroutine
 def _blocker(x, y, to_x, to_y, guess, sight, room):
     """Index of a wall segment that crosses the line from (x, y) to (to_x, to_y), −1 if none does.
 
@@ -317,7 +347,7 @@ def _blocker(x, y, to_x, to_y, guess, sight, room):
     return -1
 
 
-@njit(error_model="numpy")
+@subroutine
 def _apart(ax, ay, bx, by, cx, cy, dx, dy):
     """Distance between the segments a–b and c–d, which must not cross."""
     one = min(distance_to_segment(ax, ay, cx, cy, dx, dy),
@@ -327,7 +357,7 @@ def _apart(ax, ay, bx, by, cx, cy, dx, dy):
     return min(one, other)
 
 
-@njit(error_model="numpy")
+@subroutine
 def _crosses(x, y, to_x, to_y, segment):
     """Whether a wall segment crosses the line from (x, y) to (to_x, to_y)."""
     dx, dy = to_x - x, to_y - y

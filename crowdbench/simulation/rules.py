@@ -6,14 +6,15 @@ They use no arrays of agents, so that the same source can be compiled for other 
 import math
 
 import numpy as np
-from numba import njit
+
+from crowdbench.compilation import subroutine
 
 STOP_M = 1e-3  # distance of a stopped person from the wall, far above float32 rounding
 AHEAD_M = 10 * STOP_M  # distance beyond the end of a move at which a wall can still stop it
 JOINT = 1e-9  # share of its length by which a segment is extended, to close gaps at joints
 
 
-@njit(error_model="numpy")
+@subroutine
 def command(action_x, action_y, max_speed):
     """Velocity in m/s of an action, clipped to [−1, 1]² and then to `max_speed`."""
     x = min(1.0, max(-1.0, action_x))
@@ -23,19 +24,19 @@ def command(action_x, action_y, max_speed):
     return x * scale, y * scale
 
 
-@njit(error_model="numpy")
+@subroutine
 def to_own_frame(x, y, cos, sin):
     """The vector (x, y) of the world frame in the own frame of a person with heading (cos, sin)."""
     return x * cos + y * sin, y * cos - x * sin
 
 
-@njit(error_model="numpy")
+@subroutine
 def from_own_frame(x, y, cos, sin):
     """The vector (x, y) of the own frame of a person with heading (cos, sin) in the world frame."""
     return x * cos - y * sin, y * cos + x * sin
 
 
-@njit(error_model="numpy")
+@subroutine
 def distance_to_segment(px, py, ax, ay, bx, by):
     """Distance from the point p to the segment from a to b, in metres."""
     dx, dy = bx - ax, by - ay
@@ -47,7 +48,7 @@ def distance_to_segment(px, py, ax, ay, bx, by):
     return math.sqrt((px - ax - t * dx) ** 2 + (py - ay - t * dy) ** 2)
 
 
-@njit(error_model="numpy")
+@subroutine
 def crossing(px, py, dx, dy, ax, ay, bx, by):
     """Fraction of the move d from p at which it meets the segment a–b; infinite if it does not.
 
@@ -70,7 +71,7 @@ def crossing(px, py, dx, dy, ax, ay, bx, by):
     return along_move if close and ahead else np.inf
 
 
-@njit(error_model="numpy")
+@subroutine
 def walk(px, py, dx, dy, segments, near, start, stop):
     """Move p by d: stop before the first wall and slide along it with the rest of the move.
 
@@ -101,3 +102,18 @@ def walk(px, py, dx, dy, segments, near, start, stop):
         along = (1.0 - t) * (dx * ex + dy * ey)
         dx, dy = along * ex, along * ey
     return px, py, hit
+
+
+@subroutine
+def uniform(x, y, tick):
+    """A number in [0, 1) from a position in metres and a count, by mixing their bits.
+
+    The mixing is that of MurmurHash3's 64-bit finalizer.
+    """
+    h = np.uint64(tick)
+    for part in (np.int64(x * 1073741824.0), np.int64(y * 1073741824.0)):
+        h = (h ^ np.uint64(part)) * np.uint64(0xFF51AFD7ED558CCD)
+        h ^= h >> np.uint64(33)
+        h *= np.uint64(0xC4CEB9FE1A85EC53)
+        h ^= h >> np.uint64(33)
+    return np.float64(h >> np.uint64(11)) / 9007199254740992.0

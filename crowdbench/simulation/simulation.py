@@ -13,12 +13,12 @@ from crowdbench.scene import Scene
 from crowdbench.simulation import observations
 from crowdbench.simulation.cells import Cells
 from crowdbench.simulation.contact import Bodies
-from crowdbench.simulation.free_space import free_space
-from crowdbench.simulation.routes import Routes
+from crowdbench.simulation.free_space import FreeSpace, free_space
+from crowdbench.simulation.routes import NO_ROUTES, Routes, RouteTables
 from crowdbench.simulation.social import RANGE_M, observe_social
 from crowdbench.simulation.state import Clock, Constants, Queue, Slots
 from crowdbench.simulation.step import advance
-from crowdbench.simulation.walls import wall_table
+from crowdbench.simulation.walls import WallTable, wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
 
 GIVE_UP_S = 30.0
@@ -89,6 +89,16 @@ class Settings:
     def own_frame(self) -> bool:
         """Whether observations and actions are in each person's own frame, see `Version`."""
         return self.shown.version.own_frame
+
+
+class Tables(NamedTuple):
+    """What a simulation looks up, and the working memory of bodies."""
+
+    walls: WallTable
+    bodies: Bodies | None
+    free: FreeSpace | None
+    """Where walls and bounds are, of observations without rays."""
+    routes: RouteTables
 
 
 class Simulation:
@@ -305,6 +315,12 @@ class Simulation:
         )
         self._target.reshape(-1, 2)[at], self._beyond.reshape(-1)[at] = target, beyond
         return self._target
+
+    @property
+    def tables(self) -> Tables:
+        """What it looks up; to be read only."""
+        routes = NO_ROUTES if self._routes is None else self._routes.tables
+        return Tables(self._walls, self._bodies, self._free, routes)
 
     def number_anew(self) -> None:
         """Renumber the people present from 0; called at the end of a warm-up.

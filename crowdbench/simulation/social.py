@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Real
-from numba import njit, prange
+from numba import prange
 
-from crowdbench.compilation import Kernel
+from crowdbench.compilation import Kernel, subroutine
 from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
 from crowdbench.simulation.free_space import REACH_M, free_distance
 from crowdbench.simulation.rules import from_own_frame, to_own_frame
@@ -127,12 +127,10 @@ def observe_social(
     `observations`. `nearest` is infinite if nobody is visible within `RANGE_M`.
     """
     # Arrays are unpacked once, because each access through a bundle has a cost.
-    alive, ended, spawned, event = slots.alive, slots.ended, slots.spawned, slots.event
-    position, velocity, heading = slots.position, slots.velocity, slots.heading
-    wider = slots.wider
+    alive, ended, spawned = slots.alive, slots.ended, slots.spawned
+    position, heading, wider = slots.position, slots.heading, slots.wider
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
     grid = (cells.origin[0], cells.origin[1], cells.size, cells.columns, cells.rows)
-    group, max_speed = queue.group, constants.max_speed
     distance, free_grid = (
         free.distance,
         (free.x_min, free.y_min, free.per_x, free.per_y, free.columns, free.rows),
@@ -145,44 +143,31 @@ def observe_social(
     for chunk in prange((total + CHUNK - 1) // CHUNK):
         near = np.empty((alive.shape[1] + 1, 2), np.float32)
         who = np.empty(alive.shape[1] + 1, np.int32)
-        best = np.empty(NEAREST, np.int64)
+        best = np.empty(NEAREST, np.int32)
         gaps = np.empty(NEAREST, np.float32)
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
             me = out[w, i]
-            remaining[w, i] = _see_itself(w, i, slots, queue, clock, target, beyond, constants, me)
+            remaining[w, i] = see_itself(w, i, slots, queue, clock, target, beyond, constants, me)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
             cos, sin = np.float64(heading[w, i, 0]), np.float64(heading[w, i, 1])
-            _probe(x, y, cos, sin, distance, free_grid, me[_PROBES:_NEIGHBOURS])
+            probe(x, y, cos, sin, distance, free_grid, me)
             count = neighbours(w, i, x, y, RANGE_M + widest[w], ended, spawned, grid, start,
                                sorted_xy, sorted_slot, near, who)  # fmt: skip
             if widest[w] > 0.0:
                 count = _draw_nearer(w, count, near, who, wider)
             count = _choose(count, near, who, best, gaps)
             nearest[w, i] = math.sqrt(gaps[0]) if count > 0 else np.inf
-            mine = group[w, event[w, i]]
-            for k in range(count):
-                j = who[best[k]]
-                first = _NEIGHBOURS + FEATURES * k
-                _see_other(
-                    np.float64(near[best[k], 0]), np.float64(near[best[k], 1]),
-                    np.float64(velocity[w, j, 0]) - np.float64(velocity[w, i, 0]),
-                    np.float64(velocity[w, j, 1]) - np.float64(velocity[w, i, 1]),
-                    cos, sin, max_speed, me[first : first + FEATURES],
-                )  # fmt: skip
-                me[first + 6] = 1.0 if mine >= 0 and group[w, event[w, j]] == mine else 0.0
-                me[first + 7] = 1.0
-            for k in range(_NEIGHBOURS + FEATURES * count, SIZE):
-                me[k] = 0.0
+            see_nearest(w, i, count, best, slots, queue, constants, me)
 
 
-@njit(error_model="numpy")
+@subroutine
 def _clipped(value):
     return max(-1.0, min(1.0, value))
 
 
-@njit(error_model="numpy")
-def _see_itself(w, i, slots, queue, clock, target, beyond, constants, me):
+@subroutine
+def see_itself(w, i, slots, queue, clock, target, beyond, constants, me):
     """Write the parts before the probes to `me` and return the length of the path in metres."""
     cos, sin = np.float64(slots.heading[w, i, 0]), np.float64(slots.heading[w, i, 1])
     vx, vy = to_own_frame(
@@ -211,14 +196,15 @@ def _see_itself(w, i, slots, queue, clock, target, beyond, constants, me):
     return remaining
 
 
-@njit(error_model="numpy")
-def _probe(x, y, cos, sin, distance, grid, probes):
-    for k in range(probes.shape[0]):
+@subroutine
+def probe(x, y, cos, sin, distance, grid, me):
+    """Write the probes of somebody at (x, y) with the heading (cos, sin) to its observation."""
+    for k in range(_NEIGHBOURS - _PROBES):
         dx, dy = from_own_frame(_AHEAD[k], _LEFT[k], cos, sin)
-        probes[k] = free_distance(x + dx, y + dy, distance, grid) / REACH_M
+        me[_PROBES + k] = free_distance(x + dx, y + dy, distance, grid) / REACH_M
 
 
-@njit(error_model="numpy")
+@subroutine
 def _draw_nearer(w, count, near, who, wider):
     """Move whoever is wider than a person nearer by as much, and drop all beyond `RANGE_M`.
 
@@ -226,44 +212,84 @@ def _draw_nearer(w, count, near, who, wider):
     """
     left = 0
     for k in range(count):
-        x, y = np.float64(near[k, 0]), np.float64(near[k, 1])
-        distance = math.sqrt(x * x + y * y)
-        gap = max(0.0, distance - np.float64(wider[w, who[k]]))
+        x, y, gap = drawn_nearer(near[k, 0], near[k, 1], wider[w, who[k]])
         if gap < RANGE_M:
-            scale = gap / distance if distance > 0.0 else 0.0
-            near[left, 0], near[left, 1], who[left] = x * scale, y * scale, who[k]
+            near[left, 0], near[left, 1], who[left] = x, y, who[k]
             left += 1
     return left
 
 
-@njit(error_model="numpy")
+@subroutine
+def drawn_nearer(dx, dy, wider):
+    """Where the body of somebody at (dx, dy) begins as if it were a person's, and how far away."""
+    x, y = np.float64(dx), np.float64(dy)
+    distance = math.sqrt(x * x + y * y)
+    gap = max(0.0, distance - np.float64(wider))
+    scale = gap / distance if distance > 0.0 else 0.0
+    return np.float32(x * scale), np.float32(y * scale), gap
+
+
+@subroutine
 def _choose(count, near, who, best, gaps):
     """Choose the nearest of `count` people and return their number, at most `NEAREST`.
 
-    Writes their indices to `best` and their squared distances to `gaps`, nearest first.
+    Writes their slots to `best` and their squared distances to `gaps`, nearest first.
     """
     chosen = 0
     for k in range(count):
         gap = near[k, 0] * near[k, 0] + near[k, 1] * near[k, 1]
-        at = chosen
-        if chosen == NEAREST:
-            at = NEAREST - 1
-            if not (gap < gaps[at] or (gap == gaps[at] and who[k] < who[best[at]])):
-                continue
-        else:
-            chosen += 1
-        # Of equally near people the lower slot is first, so that the order of cells is irrelevant.
-        while at > 0 and (
-            gap < gaps[at - 1] or (gap == gaps[at - 1] and who[k] < who[best[at - 1]])
-        ):
-            gaps[at], best[at] = gaps[at - 1], best[at - 1]
-            at -= 1
-        gaps[at], best[at] = gap, k
+        chosen = consider(gap, who[k], chosen, best, gaps)
     return chosen
 
 
-@njit(error_model="numpy")
-def _see_other(dx, dy, vx, vy, cos, sin, max_speed, other):
+@subroutine
+def consider(gap, j, chosen, best, gaps):
+    """Put slot j among the `chosen` nearest so far, if it is one of them; return their number.
+
+    Of equally near people the lower slot is first, so that the order of cells is irrelevant.
+    """
+    at = chosen
+    if chosen == NEAREST:
+        at = NEAREST - 1
+        if not (gap < gaps[at] or (gap == gaps[at] and j < best[at])):
+            return chosen
+    else:
+        chosen += 1
+    while at > 0 and (gap < gaps[at - 1] or (gap == gaps[at - 1] and j < best[at - 1])):
+        gaps[at], best[at] = gaps[at - 1], best[at - 1]
+        at -= 1
+    gaps[at], best[at] = gap, j
+    return chosen
+
+
+@subroutine
+def see_nearest(w, i, count, best, slots, queue, constants, me):
+    """Write the parts of the `count` nearest people, whose slots are in `best`, to `me`."""
+    position, velocity, wider = slots.position, slots.velocity, slots.wider
+    x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
+    cos, sin = np.float64(slots.heading[w, i, 0]), np.float64(slots.heading[w, i, 1])
+    mine = queue.group[w, slots.event[w, i]]
+    for k in range(count):
+        j, first = best[k], _NEIGHBOURS + FEATURES * k
+        dx = np.float32(np.float64(position[w, j, 0]) - x)
+        dy = np.float32(np.float64(position[w, j, 1]) - y)
+        if wider[w, j] > 0.0:
+            dx, dy, _ = drawn_nearer(dx, dy, wider[w, j])
+        see_other(
+            np.float64(dx), np.float64(dy),
+            np.float64(velocity[w, j, 0]) - np.float64(velocity[w, i, 0]),
+            np.float64(velocity[w, j, 1]) - np.float64(velocity[w, i, 1]),
+            cos, sin, constants.max_speed, me[first : first + FEATURES],
+        )  # fmt: skip
+        theirs = queue.group[w, slots.event[w, j]]
+        me[first + 6] = 1.0 if mine >= 0 and theirs == mine else 0.0
+        me[first + 7] = 1.0
+    for k in range(_NEIGHBOURS + FEATURES * count, SIZE):
+        me[k] = 0.0
+
+
+@subroutine
+def see_other(dx, dy, vx, vy, cos, sin, max_speed, other):
     """Write position, velocity and closest pass of a neighbour at (dx, dy) with velocity (vx, vy).
 
     Both are relative to the person, in the world frame, in metres and m/s.

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from crowdbench.compilation import Kernel
+from crowdbench.compilation import Kernel, subroutine
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.simulation import state
 from crowdbench.simulation.contact import push_through
@@ -25,68 +25,72 @@ def advance(actions, own, slots, queue, clock, constants, walls, bodies):
     to their headings before the step, and in the world frame for all others. `bodies` are those of
     `crowdbench.simulation.contact`, or None.
     """
-    # Arrays are unpacked once, because access through a bundle costs more than moving a person.
-    alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
-    position, velocity, goal = slots.position, slots.velocity, slots.goal
-    heading, walked, stood = slots.heading, slots.walked, slots.stood
-    commanded = slots.commanded
-    stage, stage_before, event, wait = slots.stage, slots.stage_before, slots.event, queue.wait
-    born, leave, scripted = slots.born, slots.leave, slots.scripted
-    dt, max_speed = constants.dt, constants.max_speed
     radius = 0.0
     if bodies is not None:  # without bodies, their rules are not compiled
         radius = bodies.radius
-    frames, horizons, changed = clock.frame, clock.horizon, clock.changed
-    for w in prange(alive.shape[0]):
+    # Assigned outside of the loop: numba takes what is written to arrays of bundles for unused.
+    frames, changed = clock.frame, clock.changed
+    for w in prange(slots.alive.shape[0]):
         frames[w] += 1
         changed[w] = 0
-        frame, horizon = frames[w], horizons[w]
         if bodies is not None:
-            _walk_together(w, frame, actions, own, slots, constants, walls, bodies)
-        for i in range(alive.shape[1]):
-            ended[w, i] = 0
-            spawned[w, i] = False
-            if alive[w, i]:
-                stage_before[w, i] = stage[w, i]
-                # np.float64, because numba's float() does not convert float32.
-                x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
-                if bodies is not None:
-                    to_x, to_y = bodies.at[w, i, 0], bodies.at[w, i, 1]
-                else:
-                    vx, vy = _velocity(w, i, actions, own, heading, max_speed)
-                    commanded[w, i, 0], commanded[w, i, 1] = vx, vy
-                    to_x, to_y, hit = _walk_alone(x, y, vx * dt, vy * dt, walls)
-                    hit_wall[w, i] = hit
-                position[w, i, 0] = to_x
-                position[w, i, 1] = to_y
-                velocity[w, i, 0] = (to_x - x) / dt
-                velocity[w, i, 1] = (to_y - y) / dt
-                length = math.sqrt((to_x - x) * (to_x - x) + (to_y - y) * (to_y - y))
-                walked[w, i] = np.float64(walked[w, i]) + length
-                if length < STANDING_MPS * dt:
-                    stood[w, i] += 1
-                else:
-                    heading[w, i, 0] = (to_x - x) / length
-                    heading[w, i, 1] = (to_y - y) / length
-                to_goal = np.inf
-                if stage[w, i] != state.TO_GOAL:
-                    _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants)
-                if stage[w, i] == state.TO_GOAL:
-                    goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
-                    to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
-                since = born[w, i] + wait[w, event[w, i]]
-                how = outcome(
-                    to_goal, to_x, to_y, frame, since, leave[w, i], scripted[w, i], horizon,
-                    constants,
-                )  # fmt: skip
-                ended[w, i] = how
-                alive[w, i] = how == 0
-                if how != 0:
-                    changed[w] = 1
-        _spawn_due(w, slots, queue, clock, constants, radius)
+            for i in range(slots.alive.shape[1]):
+                begin_walk(w, i, actions, own, slots, constants, walls, bodies)
+            push_through(w, frames[w], constants.dt, slots, bodies, walls)
+        for i in range(slots.alive.shape[1]):
+            move(w, i, actions, own, slots, queue, clock, constants, walls, bodies)
+        let_enter(w, slots, queue, clock, constants, radius)
 
 
-@njit(error_model="numpy")
+@subroutine
+def move(w, i, actions, own, slots, queue, clock, constants, walls, bodies):
+    """Move one person, and end its trip if it is over.
+
+    Bodies have been walked already, and `bodies.at` is where the step ends.
+    """
+    slots.ended[w, i] = 0
+    slots.spawned[w, i] = False
+    if not slots.alive[w, i]:
+        return
+    slots.stage_before[w, i] = slots.stage[w, i]
+    # np.float64, because numba's float() does not convert float32.
+    x, y = np.float64(slots.position[w, i, 0]), np.float64(slots.position[w, i, 1])
+    if bodies is not None:
+        to_x, to_y = bodies.at[w, i, 0], bodies.at[w, i, 1]
+    else:
+        vx, vy = _velocity(w, i, actions, own, slots.heading, constants.max_speed)
+        slots.commanded[w, i, 0], slots.commanded[w, i, 1] = vx, vy
+        to_x, to_y, hit = _walk_alone(x, y, vx * constants.dt, vy * constants.dt, walls)
+        slots.hit_wall[w, i] = hit
+    slots.position[w, i, 0] = to_x
+    slots.position[w, i, 1] = to_y
+    slots.velocity[w, i, 0] = (to_x - x) / constants.dt
+    slots.velocity[w, i, 1] = (to_y - y) / constants.dt
+    length = math.sqrt((to_x - x) * (to_x - x) + (to_y - y) * (to_y - y))
+    slots.walked[w, i] = np.float64(slots.walked[w, i]) + length
+    if length < STANDING_MPS * constants.dt:
+        slots.stood[w, i] += 1
+    else:
+        slots.heading[w, i, 0] = (to_x - x) / length
+        slots.heading[w, i, 1] = (to_y - y) / length
+    frame, to_goal = clock.frame[w], np.inf
+    if slots.stage[w, i] != state.TO_GOAL:
+        _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants)
+    if slots.stage[w, i] == state.TO_GOAL:
+        goal_x, goal_y = np.float64(slots.goal[w, i, 0]), np.float64(slots.goal[w, i, 1])
+        to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
+    since = slots.born[w, i] + queue.wait[w, slots.event[w, i]]
+    how = outcome(
+        to_goal, to_x, to_y, frame, since, slots.leave[w, i], slots.scripted[w, i],
+        clock.horizon[w], constants,
+    )  # fmt: skip
+    slots.ended[w, i] = how
+    slots.alive[w, i] = how == 0
+    if how != 0:
+        clock.changed[w] = 1
+
+
+@subroutine
 def _velocity(w, i, actions, own, heading, max_speed):
     """Commanded velocity of a person in the world frame, in m/s."""
     vx, vy = command(np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed)
@@ -95,7 +99,7 @@ def _velocity(w, i, actions, own, heading, max_speed):
     return vx, vy
 
 
-@njit(error_model="numpy")
+@subroutine
 def _walk_alone(x, y, dx, dy, walls):
     """Where a move ends that only walls can stop, and whether it hit one."""
     cell = cell_of(x, y, (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows))
@@ -105,27 +109,26 @@ def _walk_alone(x, y, dx, dy, walls):
     return walk(x, y, dx, dy, walls.segments, walls.step_segment, first, stop)
 
 
-@njit(error_model="numpy")
-def _walk_together(w, frame, actions, own, slots, constants, walls, bodies):
-    """Walk the people of a world as bodies; see `crowdbench.simulation.contact`."""
-    parts = bodies.substeps
-    for i in range(slots.alive.shape[1]):
-        slots.hit_wall[w, i] = False
-        slots.held[w, i] = 0.0
-        if slots.alive[w, i]:
-            x, y = np.float64(slots.position[w, i, 0]), np.float64(slots.position[w, i, 1])
-            vx, vy = _velocity(w, i, actions, own, slots.heading, constants.max_speed)
-            slots.commanded[w, i, 0], slots.commanded[w, i, 1] = vx, vy
-            dx, dy = vx * constants.dt, vy * constants.dt
-            if slots.scripted[w, i]:
-                to_x, to_y, slots.hit_wall[w, i] = _walk_alone(x, y, dx, dy, walls)
-                dx, dy = to_x - x, to_y - y
-            bodies.at[w, i, 0], bodies.at[w, i, 1] = x, y
-            bodies.command[w, i, 0], bodies.command[w, i, 1] = dx / parts, dy / parts
-    push_through(w, frame, constants.dt, slots, bodies, walls)
+@subroutine
+def begin_walk(w, i, actions, own, slots, constants, walls, bodies):
+    """Write where a person is and what it is commanded to `bodies`, before `push_through`."""
+    slots.hit_wall[w, i] = False
+    slots.held[w, i] = 0.0
+    if not slots.alive[w, i]:
+        return
+    x, y = np.float64(slots.position[w, i, 0]), np.float64(slots.position[w, i, 1])
+    vx, vy = _velocity(w, i, actions, own, slots.heading, constants.max_speed)
+    slots.commanded[w, i, 0], slots.commanded[w, i, 1] = vx, vy
+    dx, dy = vx * constants.dt, vy * constants.dt
+    if slots.scripted[w, i]:
+        to_x, to_y, hit = _walk_alone(x, y, dx, dy, walls)
+        slots.hit_wall[w, i] = hit
+        dx, dy = to_x - x, to_y - y
+    bodies.at[w, i, 0], bodies.at[w, i, 1] = x, y
+    bodies.command[w, i, 0], bodies.command[w, i, 1] = dx / bodies.substeps, dy / bodies.substeps
 
 
-@njit(error_model="numpy")
+@subroutine
 def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, constants):
     """Outcome of a trip that ends in this frame, by the first rule that applies; 0 if it goes on.
 
@@ -147,7 +150,7 @@ def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, constants):
     return 0
 
 
-@njit(error_model="numpy")
+@subroutine
 def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants):
     """Advance the visit of a person to its via point; see `Simulation` for the rules."""
     if slots.stage[w, i] == state.TO_VIA:
@@ -171,8 +174,9 @@ def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants):
         slots.target[w, i, 1] = slots.goal[w, i, 1]
 
 
-@njit(error_model="numpy")
-def _spawn_due(w, slots, queue, clock, constants, radius):
+@subroutine
+def let_enter(w, slots, queue, clock, constants, radius):
+    """Let people of a world enter who are due; `radius` is that of bodies, 0 for none."""
     frame = clock.frame[w]
     if frame >= clock.horizon[w]:
         return
@@ -209,7 +213,7 @@ def _spawn_due(w, slots, queue, clock, constants, radius):
         clock.cursor[w] += 1
 
 
-@njit(error_model="numpy")
+@subroutine
 def _blocked(w, e, slots, queue, frame, clearance):
     """Whether someone who entered before a frame is too close to the start of event e.
 
@@ -224,7 +228,7 @@ def _blocked(w, e, slots, queue, frame, clearance):
     return False
 
 
-@njit(error_model="numpy")
+@subroutine
 def _enter(w, i, e, slots, queue, clock):
     clock.changed[w] = 1
     queue.status[w, e] = state.ENTERED

@@ -10,9 +10,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from crowdbench.compilation import compiled
+from crowdbench.compilation import compiled, subroutine
 from crowdbench.simulation.rules import distance_to_segment
 
 CELL_M = 0.5
@@ -93,7 +92,7 @@ def wall_table(
     )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@subroutine
 def cell_of(x, y, grid):
     """Index of a position's cell; `grid` is (x, y of the corner, cell size, columns, rows).
 

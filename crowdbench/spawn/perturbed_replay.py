@@ -5,7 +5,6 @@ paths by heart, and recognise by start, goal and speed whose path it is to walk.
 came have no recorded path. Whoever walks by what is there walks as well among them.
 """
 
-import re
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -19,9 +18,9 @@ from crowdbench.files import sha256
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import SpawnEvents
 from crowdbench.spawn.model import Start
+from crowdbench.spawn.names import PERTURBED
 from crowdbench.spawn.replay import Replay
 
-NAME = "perturbed-replay"
 TIME_S = 2.0
 """Entries are moved by up to this time, uniformly."""
 START_M, GOAL_M = 0.3, 0.5
@@ -53,7 +52,7 @@ class PerturbedReplay:
     @property
     def name(self) -> str:
         """Name of the model in tables, without its key."""
-        return NAME
+        return PERTURBED
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """The changed events in [0, `horizon_s`)."""
@@ -62,20 +61,6 @@ class PerturbedReplay:
         events = Replay(self.recording).sample(scene.horizon_s, scene, rng)
         found = perturbed(events, scene, rng)
         return found[found.time_s < horizon_s - 1e-9]
-
-
-def replays(spawn: str) -> bool:
-    """Whether a spawn model of this name lets recorded people enter, with or without changes.
-
-    Then policies alone are judged, on motion and interaction.
-    """
-    return spawn == "replay" or with_key(spawn) is not None
-
-
-def with_key(spawn: str) -> str | None:
-    """The key in the name `perturbed-replay:KEY`, empty without one; None for other models."""
-    found = re.fullmatch(rf"{NAME}(?::(\w+))?", spawn)
-    return None if found is None else found[1] or ""
 
 
 def perturbed(events: SpawnEvents, scene: Scene, rng: Generator) -> SpawnEvents:

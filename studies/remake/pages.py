@@ -10,7 +10,7 @@ from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scoring.scorecard import WALK_ANCHOR
-from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+from crowdbench.spawn.names import PERTURBED
 from studies.ceilings import POLICY as CEILING
 from studies.copied_arrivals import MODELS as ARRIVING
 from studies.copies import HONEST as COPIED_BESIDE

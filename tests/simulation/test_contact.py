@@ -26,8 +26,9 @@ import crowdbench
 from crowdbench.errors import SceneError
 from crowdbench.scene import LARGEST_BODY_M, Scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.contact import PART_MPS, uniform
+from crowdbench.simulation.contact import PART_MPS
 from crowdbench.simulation.half_planes import project
+from crowdbench.simulation.rules import uniform
 
 RADIUS = BODY_M
 TOLERANCE_M = 1e-4

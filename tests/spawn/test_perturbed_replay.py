@@ -13,7 +13,8 @@ from crowdbench.run.jobs import DRAWS, plan
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.spawn import PerturbedReplay, Replay, SpawnEvents
-from crowdbench.spawn.perturbed_replay import TIME_S, moved, replays, turn, with_key
+from crowdbench.spawn.names import replays, with_key
+from crowdbench.spawn.perturbed_replay import TIME_S, moved, turn
 
 PLAZA = load_scene("plaza-v0")
 

@@ -42,7 +42,7 @@ from crowdbench.registry import recording_of, spawn_model
 from crowdbench.run.jobs import Job
 from crowdbench.run.judge import TRAJECTORIES
 from crowdbench.scene import Scene, load_scene
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 WINDOW_S = 60.0
 """Shortest window. Where few people arrive it is longer, for `ARRIVALS` arrivals on average."""

@@ -32,7 +32,7 @@ from crowdbench.run.processes import alone_in
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import RECORDED_POLICIES
 from crowdbench.scoring.reference import read_reference
-from crowdbench.spawn.perturbed_replay import NAME as PERTURBED
+from crowdbench.spawn.names import PERTURBED
 
 RECORDED = 2
 """Number of rollouts of a ranked policy under the recorded arrivals, whose scores do not count."""

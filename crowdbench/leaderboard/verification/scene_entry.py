@@ -44,7 +44,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LOWEST, Score, total_score
 from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard, read_anchors
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.perturbed_replay import with_key
+from crowdbench.spawn.names import with_key
 
 
 @dataclass(frozen=True, eq=False)

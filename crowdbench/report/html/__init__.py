@@ -26,7 +26,7 @@ from crowdbench.scene import Scene
 from crowdbench.scoring.ranking import Row, ordered, rows
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 
 def write_report(

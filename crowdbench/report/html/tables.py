@@ -16,7 +16,7 @@ from crowdbench.report.text.notes import gate_notes, too_few_rollouts
 from crowdbench.scoring import ranking
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import PairResult, Scorecard, has_recorded_arrivals
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 
 def score_table(card: Scorecard, table: Sequence[ranking.Row], names: Names) -> Markup:

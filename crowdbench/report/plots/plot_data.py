@@ -21,7 +21,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LEVEL
 from crowdbench.scoring.scorecard import BASELINES
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 Crowds = Mapping[tuple[str, str, int], Trajectories]
 """Rollouts by spawn model, policy and seed."""

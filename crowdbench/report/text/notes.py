@@ -11,7 +11,7 @@ from crowdbench.scoring.ceilings import read_ceilings
 from crowdbench.scoring.ranking import Row, gate_standard, steered, walker_of
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import ANCHOR, Limit, Scorecard, has_recorded_arrivals
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 
 def made(card: Scorecard) -> str:

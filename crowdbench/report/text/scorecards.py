@@ -15,7 +15,7 @@ from crowdbench.report.text.words import interval, number, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.ranking import Row, ordered, ranked_by, rows
 from crowdbench.scoring.scorecard import PairResult, Scorecard
-from crowdbench.spawn.perturbed_replay import replays
+from crowdbench.spawn.names import replays
 
 Column: TypeAlias = tuple[str, Callable[[Row], str | Text]]
 
