@@ -7,6 +7,9 @@ from pathlib import Path
 
 from crowdbench import plugins
 
+_SCORING = ("scene.toml", "anchors.json.gz", "reference.json.gz")
+"""Files of a scene that rollouts do not depend on; of `scene.toml` only `Scene.rules` matters."""
+
 
 @dataclass(frozen=True)
 class Dependencies:
@@ -30,6 +33,11 @@ class Dependencies:
             return cls(name, (module,), files)
         own, code = _code_of(kind, name)
         return cls(name, (), (*files, *own), code)
+
+
+def files_of(folder: Path) -> list[Path]:
+    """The files of a scene's folder that a user's class may read, because it is given the scene."""
+    return sorted(f for f in folder.iterdir() if f.is_file() and f.name not in _SCORING)
 
 
 def _code_of(kind: plugins.Kind, name: str) -> tuple[list[Path], bytes]:

@@ -18,7 +18,7 @@ from crowdbench.policies import (
     SpeedModel,
     Straight,
 )
-from crowdbench.registry.dependencies import Dependencies
+from crowdbench.registry.dependencies import Dependencies, files_of
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.fits import check_split
@@ -121,7 +121,9 @@ class PolicySource:
     def dependencies(self, split: str) -> Dependencies:
         """What its rollouts depend on."""
         if self.own:
-            return Dependencies.of_own("policies", self.name)
+            ours = self.name.startswith("crowdbench.")  # those read nothing
+            read = [] if ours else files_of(self.scene.folder)
+            return Dependencies.of_own("policies", self.name, *read)
         if files := self.files(split):
             return Dependencies("network", (OnnxPolicy.__module__,), files)
         kind = {**_PLAIN, **_RECORDED}[self.name]

@@ -6,7 +6,7 @@ from typing import Any
 
 from crowdbench import plugins, spawn
 from crowdbench.errors import SettingError, WeightsError, checked
-from crowdbench.registry.dependencies import Dependencies
+from crowdbench.registry.dependencies import Dependencies, files_of
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
@@ -40,8 +40,6 @@ _PLAYED: dict[str, type[spawn.BlockReplay | spawn.PerturbedReplay | spawn.Replay
 SPAWN_MODELS = (*FITTED, *PLANNED, *_PLAYED)
 DEFAULT_SPAWN = "ntpp-gmm"
 """Default spawn model of the environments."""
-_SCORING = ("scene.toml", "anchors.json.gz", "reference.json.gz")
-"""Files of a scene that rollouts do not depend on; of `scene.toml` only `Scene.rules` matters."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,8 @@ class SpawnSource:
         """What its rollouts depend on."""
         folder = self.scene.folder
         scenario = () if self.scenario is None else (self.scenario,)
-        if self.own:  # it may read any file of the scene
-            beside = sorted(f for f in folder.iterdir() if f.is_file() and f.name not in _SCORING)
-            return Dependencies.of_own("spawn_models", self.base, *scenario, *beside)
+        if self.own:
+            return Dependencies.of_own("spawn_models", self.base, *scenario, *files_of(folder))
         files = (folder / "areas.json", *scenario)
         modules = (spawn.Steered.__module__,) * len(scenario)
         if self.fits is None:

@@ -30,6 +30,8 @@ ROOM_M = 0.25
 """Greatest width of the free corridor that is stored around a line of sight."""
 CHUNK = 16
 """Number of persons whose ways a thread looks up before it takes the next ones."""
+MOST_GUESSES = 2**22
+"""Number of remembered walls, of 16 MB. Larger scenes remember them for larger cells."""
 _ROUNDED_M = 1e-6  # tolerance, far above the rounding of lengths
 
 _GRAPHS: dict[tuple[tuple[Wall, ...], Bounds], "tuple[np.ndarray, np.ndarray, Sight]"] = {}
@@ -50,8 +52,13 @@ class Sight(NamedTuple):
     """int32: indices of the nearby segments of all cells."""
     free: np.ndarray
     """(C,) float64: lower bound of the distance from the cell to all other segments, in metres."""
+    guess_m: float
+    """Edge length of the cells of `blockers`, at least `CELL_M`."""
+    guess_columns: int
+    guess_rows: int
     blockers: np.ndarray
-    """(C, corners) int32: the segment that last hid a corner from a point in the cell, or −1."""
+    """(G, corners) int32, for the `G` cells of a grid with the same origin: the segment that last
+    hid a corner from a point in the cell, or −1. It is tried first."""
 
     @classmethod
     def past(cls, segments: Float[np.ndarray, "S 4"], corners: int) -> "Sight":
@@ -62,8 +69,10 @@ class Sight(NamedTuple):
         upper = ends.max(axis=0, initial=0.0 if len(ends) == 0 else -np.inf) + MARGIN_M
         columns, rows = (int(np.ceil(extent / CELL_M)) for extent in upper - lower)
         start, near, free, _ = walls_near(segments, lower, columns, rows, NEAR_M)
-        blockers = np.full((columns * rows, corners), -1, np.int32)
-        return cls(segments, lower, columns, rows, start, near, free, blockers)
+        guess_m = max(CELL_M, CELL_M * math.sqrt(columns * rows * corners / MOST_GUESSES))
+        wide, high = (math.ceil(count * CELL_M / guess_m) for count in (columns, rows))
+        blockers = np.full((wide * high, corners), -1, np.int32)
+        return cls(segments, lower, columns, rows, start, near, free, guess_m, wide, high, blockers)
 
 
 class RouteTables(NamedTuple):
@@ -105,7 +114,7 @@ class Routes:
         if key not in _GRAPHS:
             corners = _corners(scene)
             sight = Sight.past(scene.wall_segments, len(corners))
-            _GRAPHS[key] = corners, _distances(corners, scene), sight
+            _GRAPHS[key] = corners, _distances(corners, scene, sight), sight
         return cls(*_GRAPHS[key])
 
     @property
@@ -177,7 +186,9 @@ def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:
     return corners[scene.walkable(corners)]
 
 
-def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndarray, "C C"]:
+def _distances(
+    corners: Float[np.ndarray, "C 2"], scene: Scene, sight: Sight
+) -> Float[np.ndarray, "C C"]:
     """Lengths of the shortest paths between corners in metres; infinite if there is none."""
     from scipy.sparse.csgraph import dijkstra  # slow to import, and not needed without walls
 
@@ -187,11 +198,27 @@ def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndar
     solid = scene.obstacles.buffer(_GRAZE_M)
     shapely.prepare(solid)
     a, b = np.triu_indices(count, 1)
+    seen = _unhidden(corners, sight)[a, b]  # most pairs are hidden, and this is much faster
+    a, b = a[seen], b[seen]
     lines = shapely.linestrings(np.stack([corners[a], corners[b]], axis=1))
     free = ~shapely.intersects(solid, lines)
     edges = np.zeros((count, count))  # in scipy's dense graphs, 0 means no edge
     edges[a[free], b[free]] = np.linalg.norm(corners[a[free]] - corners[b[free]], axis=1)
     return np.asarray(dijkstra(edges, directed=False))
+
+
+@compiled
+def _unhidden(corners, sight):
+    """Whether no wall crosses the line between two corners, (C, C) for pairs a < b."""
+    seen = np.zeros((len(corners), len(corners)), np.bool_)
+    room = np.empty(5)
+    for a in range(len(corners)):
+        wall = -1
+        for b in range(a + 1, len(corners)):
+            x, y, to_x, to_y = corners[a, 0], corners[a, 1], corners[b, 0], corners[b, 1]
+            wall = _blocker(x, y, to_x, to_y, wall, sight, room)
+            seen[a, b] = wall < 0
+    return seen
 
 
 @Kernel
@@ -236,7 +263,7 @@ def next_of(
     if of[w, i, 0] != goal[0] or of[w, i, 1] != goal[1]:
         of[w, i, 0], of[w, i, 1], known[w, i, 1] = goal[0], goal[1], -1
         _to_goal(goal[0], goal[1], corners, between, sight, own, spare)
-    cell = _cell(x, y, sight)
+    cell = _guess_cell(x, y, sight)
     # Usually the next corner is that of the previous step, or one with a shorter path now.
     last, limit = known[w, i, 1], np.inf
     if last >= 0:
@@ -287,7 +314,7 @@ def _to_goal(x, y, corners, between, sight, result, room):
     """
     for c in range(len(corners)):
         result[c] = np.inf
-    cell, blockers = _cell(x, y, sight), sight.blockers
+    cell, blockers = _guess_cell(x, y, sight), sight.blockers
     for c in range(len(corners)):
         guess = np.int64(blockers[cell, c])
         wall = _blocker(x, y, corners[c, 0], corners[c, 1], guess, sight, room)
@@ -302,6 +329,12 @@ def _to_goal(x, y, corners, between, sight, result, room):
 @subroutine
 def _cell(x, y, sight):
     return cell_of(x, y, (sight.origin[0], sight.origin[1], CELL_M, sight.columns, sight.rows))
+
+
+@subroutine
+def _guess_cell(x, y, sight):
+    grid = (sight.origin[0], sight.origin[1], sight.guess_m, sight.guess_columns, sight.guess_rows)
+    return cell_of(x, y, grid)
 
 
 @subroutine

@@ -15,6 +15,8 @@ from crowdbench.compilation import compiled, subroutine
 from crowdbench.simulation.rules import distance_to_segment
 
 CELL_M = 0.5
+FAR_M = 8.0
+"""Longest distance to walls that is kept, in metres."""
 EDGE_ON = 1e-9  # sine of the angle below which a ray counts as parallel to a wall
 
 
@@ -81,7 +83,10 @@ def wall_table(
         # nearly parallel segments the slope would cause rounding errors of metres.
         edge_on = np.abs(across) <= EDGE_ON * np.hypot(across, u[:, 1] - u[:, 0])
         lines[r, edge_on] = [0.0, 0.0, np.inf, -np.inf]
-    ray_start, meeting = _meetings(origin, columns, rows, cos, sin, lines, ray_range_m)
+    ray_start, meeting = np.zeros(columns * rows + 1, np.int32), np.empty((0, 2), np.int32)
+    if rays:
+        within = walls_near(segments, origin, columns, rows, ray_range_m + CELL_M)[:2]
+        ray_start, meeting = _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, *within)
     # A little further than a step, because a wall just beyond its end can also stop it.
     step_start, step_segment, _, clear = walls_near(
         segments, origin, columns, rows, step_m + CELL_M / 4
@@ -104,8 +109,11 @@ def cell_of(x, y, grid):
 
 
 @compiled
-def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m):
-    """`ray_start` and `meeting`: which segments each ray can hit first from each cell."""
+def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, near_start, near):
+    """`ray_start` and `meeting`: which segments each ray can hit first from each cell.
+
+    The segments within reach of cell c are `near[near_start[c]:near_start[c + 1]]`.
+    """
     rays, size = lines.shape[0], lines.shape[1]
     nearest = np.empty(size)
     farthest = np.empty(size)
@@ -124,7 +132,8 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m):
                 v0 = y0 * cos - x0 * sin + CELL_M * (min(cos, 0.0) + min(-sin, 0.0))
                 v1 = y0 * cos - x0 * sin + CELL_M * (max(cos, 0.0) + max(-sin, 0.0))
                 blocked = np.inf  # segments beyond are hidden by one that spans the whole strip
-                for s in range(size):
+                for k in range(near_start[c], near_start[c + 1]):
+                    s = near[k]
                     lo, hi = max(v0, lines[r, s, 2]), min(v1, lines[r, s, 3])
                     nearest[s] = np.inf
                     if lo > hi:
@@ -137,7 +146,8 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m):
                     nearest[s] = min(at_lo, at_hi)
                     if lines[r, s, 2] <= v0 and lines[r, s, 3] >= v1 and nearest[s] >= u1:
                         blocked = min(blocked, farthest[s])
-                for s in range(size):
+                for k in range(near_start[c], near_start[c + 1]):
+                    s = near[k]
                     if nearest[s] <= blocked + 1e-9 and nearest[s] - u1 <= ray_range_m:
                         if writing:
                             meeting[count, 0] = r
@@ -147,35 +157,51 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m):
     return start, meeting
 
 
-@compiled
-def walls_near(segments, origin, columns, rows, reach_m):
+def walls_near(
+    segments: np.ndarray, origin: np.ndarray, columns: int, rows: int, reach_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Segments within `reach_m` of each cell, and lower bounds of the distances to segments.
 
     Returns `start` (C + 1,), `segment`, `free` (C,) and `clear` (C,). Cell c has the nearby
-    segments `segment[start[c]:start[c + 1]]`. `free` is a lower bound of the distance from the
-    cell to all other segments, and `clear` to all segments, in metres.
+    segments `segment[start[c]:start[c + 1]]`, in ascending order. `free` is a lower bound of the
+    distance from the cell to all other segments, and `clear` to all segments, in metres. Both are
+    at most `FAR_M`, or four times `reach_m`: farther segments are not looked at.
     """
+    far_m = max(FAR_M, 4 * reach_m) if len(segments) else np.inf
+    return _walls_near(segments, origin, columns, rows, reach_m, far_m)
+
+
+@compiled
+def _walls_near(segments, origin, columns, rows, reach_m, far_m):
     size = columns * rows
     start = np.zeros(size + 1, np.int32)
-    free, clear = np.full(size, np.inf), np.full(size, np.inf)
-    across = reach_m + CELL_M * math.sqrt(0.5)  # half a diagonal from the centre
+    free, clear = np.full(size, far_m), np.full(size, far_m)
+    half = CELL_M * math.sqrt(0.5)  # half a diagonal: from the centre to a corner
+    wide = far_m + 2 * half
     for writing in (False, True):
         segment = np.empty(start[size] if writing else 0, np.int32)
-        count = 0
-        for c in range(size):
-            x = origin[0] + (c % columns + 0.5) * CELL_M
-            y = origin[1] + (c // columns + 0.5) * CELL_M
-            for s in range(len(segments)):
-                distance = distance_to_segment(
-                    x, y, segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
-                )
-                keeps_off = distance - CELL_M * math.sqrt(0.5)
-                clear[c] = min(clear[c], keeps_off)
-                if distance > across:
-                    free[c] = min(free[c], keeps_off)
-                    continue
-                if writing:
-                    segment[count] = s
-                count += 1
-            start[c + 1] = count
+        at = start[:size].copy()
+        for s in range(len(segments)):
+            ax, ay, bx, by = segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
+            left = max(0, int((min(ax, bx) - wide - origin[0]) / CELL_M))
+            right = min(columns, int((max(ax, bx) + wide - origin[0]) / CELL_M) + 1)
+            low = max(0, int((min(ay, by) - wide - origin[1]) / CELL_M))
+            top = min(rows, int((max(ay, by) + wide - origin[1]) / CELL_M) + 1)
+            for row in range(low, top):
+                for column in range(left, right):
+                    c = row * columns + column
+                    distance = distance_to_segment(
+                        origin[0] + (column + 0.5) * CELL_M, origin[1] + (row + 0.5) * CELL_M,
+                        ax, ay, bx, by,
+                    )  # fmt: skip
+                    clear[c] = min(clear[c], distance - half)
+                    if distance > reach_m + half:
+                        free[c] = min(free[c], distance - half)
+                    elif writing:
+                        segment[at[c]] = s
+                        at[c] += 1
+                    else:
+                        start[c + 1] += 1
+        if not writing:
+            start = np.cumsum(start).astype(np.int32)
     return start, segment, free, clear

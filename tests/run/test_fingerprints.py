@@ -115,6 +115,24 @@ def test_a_change_of_a_file_voids_what_reads_it(tmp_path: Path, file: str, voids
     assert changed(before, fingerprints(scene)) == voids
 
 
+def test_a_class_of_ones_own_may_read_any_file_of_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "plaza-v0"
+    shutil.copytree(load_scene("plaza-v0").folder, folder)
+    (tmp_path / "read").mkdir()
+    (tmp_path / "read" / "reads_files.py").write_text("class Walker: ...\n")
+    monkeypatch.syspath_prepend(tmp_path / "read")
+    scene = load_scene(folder)
+    before = Resolved.of(scene, "poisson-gmm", "reads_files:Walker").fingerprint("full")
+    for file, voids in (("guided-walker.json", True), ("anchors.json.gz", False)):
+        with (folder / file).open("ab") as opened:
+            opened.write(b" ")
+        after = Resolved.of(scene, "poisson-gmm", "reads_files:Walker").fingerprint("full")
+        assert (after != before) == voids
+        before = after
+
+
 def test_rules_and_splits_count_and_the_title_does_not() -> None:
     scene = load_scene("plaza-v0")
     pair = Resolved.of(scene, "poisson-gmm", "straight")

@@ -15,7 +15,7 @@ from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, SocialForce, SpeedModel, StateView, Straight
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene, list_scenes, load_scene
-from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation import Settings, Simulation, routes
 from crowdbench.simulation.observations import GOAL_RANGE_M
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.state import GOAL, HORIZON
@@ -391,3 +391,25 @@ def test_a_policy_that_comes_into_another_scene_takes_its_walls() -> None:
     walk(BOX, TO_THE_RIGHT, policy)
     free, _ = walk(square(9.0), TO_THE_RIGHT, policy)
     np.testing.assert_allclose(free[:, 1], -0.9, atol=1e-6)
+
+
+def test_ways_in_a_large_place_are_the_same_with_few_remembered_walls(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = square(10.0, *(box(x, y, x + 1.5, y + 1.5) for x in (-6, -1, 4) for y in (-5, 0, 5)))
+    rng = np.random.default_rng(0)
+    at = rng.uniform(-9.5, 9.5, (400, 2, 2))
+    at = at[scene.walkable(at[:, 0]) & scene.walkable(at[:, 1])]
+    who = np.zeros(len(at), np.int64), np.arange(len(at))
+
+    def ways() -> tuple[np.ndarray, np.ndarray]:
+        monkeypatch.setattr(routes, "_GRAPHS", {})
+        found = Routes.on(scene)
+        return found.next_of(*who, at[:, 0], at[:, 1])
+
+    usual = ways()
+    monkeypatch.setattr(routes, "MOST_GUESSES", 100)
+    coarse = ways()
+    assert Routes.on(scene).tables.sight.guess_m > 5.0
+    for one, other in zip(usual, coarse, strict=True):
+        np.testing.assert_array_equal(one, other)

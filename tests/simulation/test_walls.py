@@ -1,5 +1,7 @@
 """Walls stop people and rays: nobody walks through them, nobody sees through them."""
 
+import math
+
 import numpy as np
 import pytest
 import shapely
@@ -21,6 +23,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION, head_of
 from crowdbench.simulation.rules import crossing, walk
+from crowdbench.simulation.walls import CELL_M, FAR_M, walls_near
 
 HEAD = head_of(OBSERVATION)
 
@@ -214,3 +217,30 @@ def test_walls_are_seen_where_shapely_meets_them(range_m: float) -> None:
     expected = shapely.distance(shapely.points(origins), meet)  # NaN where nothing is met
     expected = np.where(np.isnan(expected), range_m, expected)
     np.testing.assert_allclose(seen_distances(scene, xy, 32, range_m), expected, atol=1e-4)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 12), reach_m=st.floats(0.2, 3.0))
+def test_walls_near_cells_are_all_that_are_near(seed: int, count: int, reach_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    at = rng.uniform(-2, 32, (count, 2))
+    segments = np.hstack([at, at + rng.normal(0, 3, (count, 2))])
+    origin, columns, rows = np.zeros(2), 60, 50
+    start, near, free, clear = walls_near(segments, origin, columns, rows, reach_m)
+    x, y = (CELL_M * (np.arange(n) + 0.5) for n in (columns, rows))
+    points = shapely.points(np.tile(x, rows), np.repeat(y, columns))
+    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    distance = shapely.distance(points[:, None], lines[None, :])
+    half, far_m = CELL_M * math.sqrt(0.5), max(FAR_M, 4 * reach_m) if count else np.inf
+    least, rest = distance.copy(), distance.copy()
+    rest[distance <= reach_m + half] = np.inf
+    for c in range(columns * rows):
+        listed = near[start[c] : start[c + 1]]
+        assert (np.diff(listed) > 0).all()
+        off = np.abs(distance[c] - reach_m - half)
+        expected = np.flatnonzero(distance[c] <= reach_m + half)
+        assert {*listed.tolist()} ^ {*expected.tolist()} <= {*np.flatnonzero(off < 1e-9).tolist()}
+    for found, of in ((clear, least), (free, rest)):
+        np.testing.assert_allclose(
+            found, np.minimum(of.min(axis=1, initial=np.inf) - half, far_m), atol=1e-9
+        )
