@@ -15,8 +15,8 @@ candidate does not pass the gate of the place, 1 is subtracted. The search is th
 geometric mean of the best candidates.
 
 For each scene, `guided-walker.json` is written to its folder: parameters for each split of the
-recording, and those of a walker who has never been there (the searched ones, and means of the local
-ones of the other places).
+recording, and those of a walker who has never been there (the searched ones, and medians of the
+local ones of the other places).
 """
 
 import argparse
@@ -123,13 +123,18 @@ def searched(
     best = sorted(tried, key=lambda one: -one.score)[: 2 * ELITE]
     shared = _mean([one.parameters for one in best])
     tell("mean of the best: " + row(score(shared)))
-    local = _mean([[getattr(place.local, name) for name in LOCAL] for place in places])
+    local = _median([[getattr(place.local, name) for name in LOCAL] for place in places])
     return START._replace(**dict(zip((*SHARED, *LOCAL), shared + local, strict=True)))
 
 
 def _mean(of: Sequence[Sequence[float]]) -> tuple[float, ...]:
     """Geometric means, with three digits, so that what is written is what was tried."""
     return tuple(float(f"{v:.3g}") for v in np.exp(np.log(of).mean(axis=0)))
+
+
+def _median(of: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    """Medians: the noise of one place's tracker must not decide how people walk elsewhere."""
+    return tuple(float(f"{v:.3g}") for v in np.median(of, axis=0))
 
 
 def row(tried: Walked) -> str:

@@ -94,7 +94,7 @@ class Parameters(NamedTuple):
     miss: float
     """Cost per metre at which a near target is passed."""
     wall: float
-    """Cost of being in a wall; it decreases linearly to 0 at 2 m."""
+    """Cost of being in a wall; at d metres from it, the cost is (1 − d/2)³ times that."""
     plan: float
     """Cost of the wanted velocity, besides all others."""
 
@@ -102,21 +102,21 @@ class Parameters(NamedTuple):
 ANYWHERE = Parameters(
     speed_s=1.0,
     side_s=1.0,
-    speed_mps=0.186,
-    side_mps=0.17,
-    bow=0.0783,
-    avoid=44.2,
-    avoid_m=0.374,
-    avoid_s=3.75,
-    room=8.77,
-    keep=2.32,
-    abreast=1.4,
-    beside=2.99,
-    beside_m=0.828,
-    delay=1.05,
-    miss=6.19,
+    speed_mps=0.172,
+    side_mps=0.163,
+    bow=0.1,
+    avoid=48.3,
+    avoid_m=0.363,
+    avoid_s=4.13,
+    room=15.4,
+    keep=3.62,
+    abreast=3.15,
+    beside=2.56,
+    beside_m=0.874,
+    delay=0.895,
+    miss=6.72,
     wall=16.0,
-    plan=4.14,
+    plan=3.52,
 )
 """For any other place: found by `python -m crowdbench.baselines.guided --scenes` (no names)."""
 FILE = "guided-walker.json"
@@ -306,7 +306,7 @@ def add_walls(seen, left_m, velocity, of, cost):
     for k in range(len(cost)):
         for look in range(1, LOOKS + 1):
             near = 1.0 - probed(seen, 0.5 * look * velocity[k, 0], 0.5 * look * velocity[k, 1])
-            cost[k] += weight * near
+            cost[k] += weight * near**3
 
 
 @compiled

@@ -138,10 +138,14 @@ class CudaSimulation:
         numba_s = isinstance(actions, type(self.observation))
         given = actions if numba_s else self._cuda.as_cuda_array(actions)
         threads = min(MOST_THREADS, -(-self._size // WARP) * WARP)
-        self._launch("advance", self.worlds, threads)(
+        what = (
             given, self._own, self.slots, self.queue, self.clock, self._constants, self._walls,
-            self._bodies, self._spare, self.remaining, self.remaining_before,
+            self.remaining, self.remaining_before,
         )  # fmt: skip
+        if self._bodies is None:  # a kernel cannot be given None
+            self._launch("advance", self.worlds, threads)(*what)
+        else:
+            self._launch("advance_bodies", self.worlds, threads)(*what, self._bodies, self._spare)
 
     def observe(self) -> None:
         """Update `observation`, `nearest`, `towards` and `remaining`; as `Simulation.observe`."""

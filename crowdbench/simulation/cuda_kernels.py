@@ -25,7 +25,9 @@ class Kernels(NamedTuple):
     """The kernels for a scene; each is launched as `kernel[blocks, threads, stream](…)`."""
 
     advance: Any
-    """One block per world; see `crowdbench.simulation.step.advance`."""
+    """One block per world of people without bodies; see `crowdbench.simulation.step.advance`."""
+    advance_bodies: Any
+    """The same for people with bodies."""
     route: Any
     """One thread per slot; see `crowdbench.simulation.routes`."""
     observe: Any
@@ -34,6 +36,14 @@ class Kernels(NamedTuple):
     """One thread per slot; see `crowdbench.simulation.social.observe_social`."""
     pay: Any
     """One thread per slot; see `crowdbench.simulation.reward.pay`."""
+
+
+@subroutine
+def begin_step(w, first, clock):
+    """The first thread of a block advances the clock of its world."""
+    if first == 0:
+        clock.frame[w] += 1
+        clock.changed[w] = 0
 
 
 @subroutine
@@ -221,26 +231,32 @@ def kernels(corners: int) -> Kernels:
     room = max(1, corners)
 
     @cuda.jit
-    def advance(actions, own, slots, queue, clock, constants, walls, bodies, spare, remaining,
-                before):  # fmt: skip
+    def advance(actions, own, slots, queue, clock, constants, walls, remaining, before):
         w, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
-        size, radius = slots.alive.shape[1], 0.0
-        if first == 0:
-            clock.frame[w] += 1
-            clock.changed[w] = 0
+        begin_step(w, first, clock)
         cuda.syncthreads()
-        if bodies is not None:
-            radius = bodies.radius
-            for i in range(first, size, threads):
-                step.begin_walk(w, i, actions, own, slots, constants, walls, bodies)
-            cuda.syncthreads()
-            walk_together(w, clock.frame[w], constants.dt, slots, bodies, walls, spare)
-        for i in range(first, size, threads):
+        for i in range(first, slots.alive.shape[1], threads):
+            before[w, i] = remaining[w, i]
+            step.move(w, i, actions, own, slots, queue, clock, constants, walls, None)
+        cuda.syncthreads()
+        if first == 0:
+            step.let_enter(w, slots, queue, clock, constants, 0.0)
+
+    @cuda.jit
+    def advance_bodies(actions, own, slots, queue, clock, constants, walls, remaining, before,
+                       bodies, spare):  # fmt: skip
+        w, first, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+        begin_step(w, first, clock)
+        for i in range(first, slots.alive.shape[1], threads):
+            step.begin_walk(w, i, actions, own, slots, constants, walls, bodies)
+        cuda.syncthreads()
+        walk_together(w, clock.frame[w], constants.dt, slots, bodies, walls, spare)
+        for i in range(first, slots.alive.shape[1], threads):
             before[w, i] = remaining[w, i]
             step.move(w, i, actions, own, slots, queue, clock, constants, walls, bodies)
         cuda.syncthreads()
         if first == 0:
-            step.let_enter(w, slots, queue, clock, constants, radius)
+            step.let_enter(w, slots, queue, clock, constants, bodies.radius)
 
     @cuda.jit
     def route(slots, towards, beyond, known, of, seen, to_goal, corners, corner_x, corner_y,
@@ -343,4 +359,4 @@ def kernels(corners: int) -> Kernels:
                 body_radius, weights, person, behind, apart_of(w, i, slots, queue.group), out,
             )  # fmt: skip
 
-    return Kernels(advance, route, observe, observe_social, pay)
+    return Kernels(advance, advance_bodies, route, observe, observe_social, pay)
