@@ -40,13 +40,13 @@ class Known(Place):
         return validation(float(1 - off @ off))
 
 
-def test_shared_are_found_and_local_parameters_are_means() -> None:
-    places = [Known("a"), Known("b")]
+def test_shared_are_found_and_local_parameters_are_medians() -> None:
+    places = [Known("a"), Known("b"), Known("c")]
     told: list[str] = []
     found = searched(places, candidates=60, seed=0, tell=told.append)
     shared = np.log([getattr(found, name) for name in SHARED])
     assert np.abs(shared - places[0].likes).mean() < 0.2
-    assert found.bow == pytest.approx(0.04)
+    assert found.bow == pytest.approx(0.08)
     assert len(told) == 61
     assert places[1].walked == 61
     assert {*SHARED, *LOCAL} | {"speed_s", "side_s"} == {*Parameters._fields}
