@@ -15,7 +15,7 @@ from numba import prange
 
 from crowdbench.compilation import Kernel, compiled, subroutine
 from crowdbench.scene import Bounds, Scene, Wall
-from crowdbench.simulation.rules import distance_to_segment
+from crowdbench.simulation.rules import crosses, distance_to_segment, segments_apart
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
 
 CORNER_M = 0.2
@@ -354,7 +354,7 @@ def _blocker(x, y, to_x, to_y, guess, sight, room):
     of the line and its distance from all walls, at most `ROOM_M`, to `room`.
     """
     segments = sight.segments
-    if guess >= 0 and _crosses(x, y, to_x, to_y, segments[guess]):
+    if guess >= 0 and crosses(x, y, to_x, to_y, segments[guess]):
         return guess
     dx, dy = to_x - x, to_y - y
     length = math.sqrt(dx * dx + dy * dy)
@@ -371,37 +371,10 @@ def _blocker(x, y, to_x, to_y, guess, sight, room):
         cell = _cell(px, py, sight)
         for k in range(sight.start[cell], sight.start[cell + 1]):
             wall = segments[sight.near[k]]
-            if _crosses(x, y, to_x, to_y, wall):
+            if crosses(x, y, to_x, to_y, wall):
                 return sight.near[k]
-            wide = min(wide, _apart(x, y, to_x, to_y, wall[0], wall[1], wall[2], wall[3]))
+            wide = min(wide, segments_apart(x, y, to_x, to_y, wall[0], wall[1], wall[2], wall[3]))
         at += sight.free[cell] - ROOM_M
     room[0], room[1], room[2], room[3] = x, y, to_x, to_y
     room[4] = wide - _ROUNDED_M
     return -1
-
-
-@subroutine
-def _apart(ax, ay, bx, by, cx, cy, dx, dy):
-    """Distance between the segments a–b and c–d, which must not cross."""
-    one = min(distance_to_segment(ax, ay, cx, cy, dx, dy),
-              distance_to_segment(bx, by, cx, cy, dx, dy))  # fmt: skip
-    other = min(distance_to_segment(cx, cy, ax, ay, bx, by),
-                distance_to_segment(dx, dy, ax, ay, bx, by))  # fmt: skip
-    return min(one, other)
-
-
-@subroutine
-def _crosses(x, y, to_x, to_y, segment):
-    """Whether a wall segment crosses the line from (x, y) to (to_x, to_y)."""
-    dx, dy = to_x - x, to_y - y
-    ax, ay = segment[0] - x, segment[1] - y
-    bx, by = segment[2] - x, segment[3] - y
-    # They cross if the ends of the segment are on different sides of the line and the ends of the
-    # line on different sides of the segment. A line through an end of the segment is blocked too.
-    side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
-    if side_a * side_b <= 0.0:
-        ex, ey = bx - ax, by - ay
-        here = ay * ex - ax * ey
-        there = here - (dy * ex - dx * ey)
-        return here * there < 0.0
-    return False

@@ -117,3 +117,30 @@ def uniform(x, y, tick):
         h *= np.uint64(0xC4CEB9FE1A85EC53)
         h ^= h >> np.uint64(33)
     return np.float64(h >> np.uint64(11)) / 9007199254740992.0
+
+
+@subroutine
+def segments_apart(ax, ay, bx, by, cx, cy, dx, dy):
+    """Distance between the segments a–b and c–d, which must not cross."""
+    one = min(distance_to_segment(ax, ay, cx, cy, dx, dy),
+              distance_to_segment(bx, by, cx, cy, dx, dy))  # fmt: skip
+    other = min(distance_to_segment(cx, cy, ax, ay, bx, by),
+                distance_to_segment(dx, dy, ax, ay, bx, by))  # fmt: skip
+    return min(one, other)
+
+
+@subroutine
+def crosses(x, y, to_x, to_y, segment):
+    """Whether a wall segment crosses the line from (x, y) to (to_x, to_y)."""
+    dx, dy = to_x - x, to_y - y
+    ax, ay = segment[0] - x, segment[1] - y
+    bx, by = segment[2] - x, segment[3] - y
+    # They cross if the ends of the segment are on different sides of the line and the ends of the
+    # line on different sides of the segment. A line through an end of the segment is blocked too.
+    side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
+    if side_a * side_b <= 0.0:
+        ex, ey = bx - ax, by - ay
+        here = ay * ex - ax * ey
+        there = here - (dy * ex - dx * ey)
+        return here * there < 0.0
+    return False
