@@ -1,9 +1,9 @@
 """The worlds of a simulation on a CUDA device.
 
-`CudaSimulation` takes over a `Simulation`, with everything that its people know, and goes on on the
-device: it moves people, lets them see, and pays them. Nothing is copied to the CPU. The functions
-of one person are those of the CPU, see `crowdbench.simulation.cuda_kernels`. Differences come only
-from the device's fused multiply-add, which rounds a product and a sum once instead of twice.
+`CudaSimulation` copies the state of a `Simulation` to the device and simulates there: it moves
+people and computes observations and rewards. Nothing is copied to the CPU. The functions of one
+person are those of the CPU, see `crowdbench.simulation.cuda_kernels`. Results may differ in the
+last digits, because the device's fused multiply-add rounds a product and a sum once, not twice.
 
 It needs numba-cuda (extra `gpu`), or numba's simulator of CUDA on the CPU
 (`NUMBA_ENABLE_CUDASIM=1` and `NUMBA_DISABLE_JIT=1`), which is for tests of a few people.
@@ -44,11 +44,11 @@ def cuda_module() -> Any:
         found = cuda.is_available()  # type: ignore[no-untyped-call]
     except ImportError as error:
         raise SettingError(
-            "device", got="cuda", expected="cpu without numba-cuda", hint=to_install("gpu")
+            "device", got="cuda without numba-cuda", expected="cpu", hint=to_install("gpu")
         ) from error
     if not found:
         hint = "Install NVIDIA's driver, and the extra gpu. Or use the device cpu."
-        raise SettingError("device", got="cuda", expected="cpu without a CUDA device", hint=hint)
+        raise SettingError("device", got="cuda without a CUDA device", expected="cpu", hint=hint)
     return cuda
 
 
@@ -60,7 +60,7 @@ def _kernels(corners: int) -> Any:
 
 
 class CudaSimulation:
-    """`W` worlds of `N` slots on a CUDA device, which go on where a `Simulation` is.
+    """`W` worlds of `N` slots on a CUDA device, with the state of a `Simulation`.
 
     All arrays are numba's arrays on the device, which `torch.as_tensor(array, device="cuda")` shows
     without copying. Kernels run on torch's present stream if torch is loaded, so a CUDA graph of
