@@ -136,6 +136,44 @@ def create(
         print('This scene has no ntpp-gmm, the default of environments: pass spawn="renewal-gmm".')
 
 
+@app.command(name="map")
+def map_(
+    scene: SceneName,
+    image: Path | None = None,
+    /,
+    *,
+    homography: Path | None = None,
+    row_first: bool = False,
+    remove: bool = False,
+) -> None:
+    """Show a photograph of the place under pictures, players and the viewer, on this machine only.
+
+    Args:
+        image: photograph or plan of the place
+        homography: text file with the 3 × 3 matrix that maps (column, row) of its pixels to metres
+        row_first: the matrix maps (row, column), as those of ETH's recordings do
+        remove: remove the image again
+    """
+    from crowdbench.registry.map_images import add_map, map_path
+
+    place = crowdbench.load_scene(scene)
+    path = map_path(place)
+    if remove:
+        path.unlink(missing_ok=True)
+        print(f"{place.id} has no map now")
+        return
+    if image is None or homography is None:
+        missing = "IMAGE" if image is None else "--homography"
+        expected = "a picture, and the matrix that maps its pixels to metres"
+        hint = f"Run crowdbench scene map {scene} IMAGE --homography FILE, or with --remove."
+        raise SettingError(
+            "crowdbench scene map", got=f"no {missing}", expected=expected, hint=hint
+        )
+    add_map(place, image, homography, row_first=row_first)
+    print(f"written to {path}")
+    print(f"Look: crowdbench evaluate {place.asked} --policy social-force")
+
+
 @app.command
 def check(scene: SceneName, /) -> None:
     """List the parts of a scene and their problems."""

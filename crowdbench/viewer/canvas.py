@@ -7,6 +7,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from crowdbench.colours import goal_colour
+from crowdbench.registry.map_images import WHITE, MapImage, map_of
 from crowdbench.scene import Scene
 from crowdbench.viewer.place import areas_of, corners, dashed_areas, extent_m
 
@@ -19,7 +20,7 @@ _WALL, _BOUNDS, _SPAWN = "#BBBBBB", "#888888", "#666666"
 
 
 class Canvas:
-    """A scene from above on white, with x to the right and y up: walls, bounds and areas."""
+    """A scene from above: walls, bounds and areas on white or its map, x to the right and y up."""
 
     def __init__(self, scene: Scene, *, with_areas: bool = True) -> None:
         b = scene.bounds
@@ -32,6 +33,9 @@ class Canvas:
         even = 2 * np.round(size / 2).astype(np.int64) * FINER  # even, as video formats require
         self.empty = Image.new("RGB", tuple(even.tolist()), "white")
         pen = Pen(self, self.empty)
+        image = map_of(scene)
+        if image is not None:
+            pen.image(image)
         for wall in scene.walls:
             pen.area(np.array(wall.corners_m), _WALL)
         pen.line(np.array([*corners(scene), corners(scene)[0]]), _BOUNDS, FINER)
@@ -61,6 +65,13 @@ class Pen:
     def area(self, xy: np.ndarray, colour: str) -> None:
         """A polygon with corners (n, 2)."""
         self._ink.polygon(self._pixels(xy), fill=colour)
+
+    def image(self, image: MapImage) -> None:
+        """An image of the floor."""
+        b = image.bounds
+        (x, y), end = self._pixels(np.array([[b.x_min_m, b.y_max_m], [b.x_max_m, b.y_min_m]]))
+        size = round(end[0] - x), round(end[1] - y)
+        self._image.paste(Image.fromarray(image.on(WHITE)).resize(size), (round(x), round(y)))
 
     def disc(self, xy: np.ndarray, radius: float, colour: str | None, **outline: Any) -> None:
         """A disc around a point (2,); `outline` are `outline` and `width` of PIL's ellipse."""

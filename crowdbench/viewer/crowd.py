@@ -9,6 +9,7 @@ from jaxtyping import Bool, Int, UInt16
 
 from crowdbench.colours import goal_colour
 from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.registry.map_images import DARK, MapImage, map_of
 from crowdbench.scene import Scene
 from crowdbench.viewer import place
 from crowdbench.viewer.picture import trails
@@ -17,7 +18,7 @@ WINDOW = 10
 """Number of frames per count of spawns, as in the metric `spawns_per_10_frames`."""
 _SIMULATED, _COMPARED = (230, 159, 0), (150, 150, 150)  # lines in the plots
 _BATCH = 500  # frames per message; the viewer shows the first ones while it loads the others
-_DISC_ORDER, _TRAIL_ORDER, _PLACE_ORDER = 2.0, 1.0, -1.0
+_DISC_ORDER, _TRAIL_ORDER, _PLACE_ORDER, _MAP_ORDER = 2.0, 1.0, -1.0, -2.0
 _DIM = "#5A5A5A"
 _ENDS = {
     "unknown": "was last seen after",
@@ -51,11 +52,25 @@ def log_place(stream: rr.RecordingStream, scene: Scene) -> None:
         )
         stream.log(f"{place.WORLD}/place/{name}", drawn, static=True)
 
+    image = map_of(scene)
+    if image is not None:
+        _log_map(stream, image)
     lines("bounds", [_closed(place.corners(scene))], 1.0, _DIM)
     lines("walls", [_closed(wall.corners_m) for wall in scene.walls], 1.5, place.GREY)
     lines("walls/hatching", place.hatching(scene), 1.0, _DIM)
     lines("spawn_areas", spawns, 1.0, "#CCCCCC")
     lines("goal_areas", goals, 2.0, *map(goal_colour, range(len(goals))))
+
+
+def _log_map(stream: rr.RecordingStream, image: MapImage) -> None:
+    """Log an image of the floor below everything else. Its rows go down, from the greatest y."""
+    where, b, (along, across) = f"{place.WORLD}/place/map", image.bounds, image.metres_per_pixel
+    onto = rr.Transform3D(translation=[b.x_min_m, b.y_max_m, 0.0], scale=[along, -across, 1.0])
+    stream.log(where, onto, static=True)
+    shown = rr.EncodedImage(
+        contents=image.jpeg(DARK), media_type="image/jpeg", draw_order=_MAP_ORDER
+    )
+    stream.log(where, shown, static=True)
 
 
 def log_crowd(stream: rr.RecordingStream, side: str, crowd: Trajectories, scene: Scene) -> None:

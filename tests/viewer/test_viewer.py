@@ -35,6 +35,7 @@ from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
+from crowdbench.registry.map_images import add_map
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings
@@ -98,6 +99,24 @@ def test_what_is_shown(saved: Path) -> None:
     chosen = {f"/world/simulation/chosen/{what}" for what in ("rays", "ring", "way", "goal")}
     more = {"/", "/world", "/outcomes", "/world/recording/unobserved", "/__properties"}
     assert entities(saved) == place | {"/world/place/walls/hatching"} | sides | chosen | more
+
+
+def test_a_photograph_lies_below_everything_else(crowd: Trajectories, tmp_path: Path) -> None:
+    photograph, matrix, b = tmp_path / "place.png", tmp_path / "H.txt", PLAZA.bounds
+    Image.new("RGB", (40, 40), "green").save(photograph)
+    wide, high = b.x_max_m - b.x_min_m, b.y_max_m - b.y_min_m
+    np.savetxt(matrix, [[wide / 40, 0, b.x_min_m], [0, -high / 40, b.y_max_m], [0, 0, 1]])
+    add_map(PLAZA, photograph, matrix)
+    path = tmp_path / "plaza.rrd"
+    save(crowd, PLAZA, path)
+    shown = always(path, "/world/place/map")
+    (translation,) = shown["Transform3D:translation"]
+    np.testing.assert_allclose(translation, [b.x_min_m, b.y_max_m, 0])
+    (scale,) = shown["Transform3D:scale"]
+    pixels = max(wide, high) / 1200
+    np.testing.assert_allclose(scale, [pixels, -pixels, 1], rtol=2e-3)
+    (order,) = shown["EncodedImage:draw_order"]
+    assert order < always(path, "/world/place/walls")["LineStrips2D:draw_order"][0]
 
 
 def test_plots_show_all_of_either_time_line(saved: Path) -> None:

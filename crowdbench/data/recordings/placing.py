@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from crowdbench.data.recordings.mending import LONGEST_GAP_S, Rows, Stamped
 from crowdbench.data.table import MAX_FRAMES, interpolated
@@ -38,7 +39,7 @@ def placed(rows: Stamped, scale: float | None, homography: Path | None) -> Stamp
         return replace(rows, xy=rows.xy * scale)
     if homography is None:
         return rows
-    matrix = _matrix(homography)
+    matrix = matrix_of(homography)
     mapped = np.column_stack([rows.xy, np.ones(len(rows.xy))]) @ matrix.T
     with np.errstate(divide="ignore", invalid="ignore"):
         xy = mapped[:, :2] / mapped[:, 2:]
@@ -49,7 +50,12 @@ def placed(rows: Stamped, scale: float | None, homography: Path | None) -> Stamp
     return replace(rows, xy=xy)
 
 
-def _matrix(path: Path) -> np.ndarray:
+def matrix_of(path: Path) -> Float[np.ndarray, "3 3"]:
+    """The homography in a text file.
+
+    Raises:
+        RecordingError: it cannot be read, or has no inverse.
+    """
     text = read_bytes(path, RecordingError, "").decode("utf-8-sig", "replace")
     try:
         matrix = np.loadtxt(text.replace(",", " ").splitlines(), ndmin=2)

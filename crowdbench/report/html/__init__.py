@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from crowdbench.data.table import Trajectories
 from crowdbench.files import write_text
+from crowdbench.registry.map_images import map_of
 from crowdbench.report.display_names import Names, names_of
 from crowdbench.report.html.pictures import pictures
 from crowdbench.report.html.player import SCRIPT, STYLE, clip_of, player
@@ -96,7 +97,7 @@ def _player(
     if recording is not None:
         shown.insert(1, (RECORDED, recording))
     clips = [(label, clip_of(crowd, scene)) for label, crowd in shown]
-    return player(scene, clips) if clips else Markup()
+    return player(scene, clips, map_of(scene)) if clips else Markup()
 
 
 def _command(card: Scorecard, scene: Scene) -> str:

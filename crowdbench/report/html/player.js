@@ -64,6 +64,11 @@ function setUp(root) {
     draw();
   };
 
+  if (place.map) {
+    place.picture = new Image();
+    place.picture.addEventListener("load", draw);
+    place.picture.src = place.map.image;
+  }
   play.addEventListener("click", toggle);
   time.addEventListener("input", () => { now = Number(time.value); draw(); });
   for (const box of drawn) box.addEventListener("change", draw);
@@ -171,6 +176,11 @@ function colourOf(goal, place) {
 function drawPlace({ pen, sharp, width, height, ofMetres }, place, areas) {
   pen.fillStyle = "#fff";
   pen.fillRect(0, 0, width, height);
+  if (place.picture?.naturalWidth) {
+    const [left, bottom, right, top] = place.map.bounds;
+    const [x, y] = ofMetres([left, top]), [u, v] = ofMetres([right, bottom]);
+    pen.drawImage(place.picture, x, y, u - x, v - y);
+  }
   const trace = (points) => {
     pen.beginPath();
     for (const point of points) pen.lineTo(...ofMetres(point));

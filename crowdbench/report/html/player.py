@@ -18,6 +18,7 @@ from markupsafe import Markup
 from crowdbench.colours import COLOURS
 from crowdbench.data.stops import standing
 from crowdbench.data.table import Trajectories
+from crowdbench.registry.map_images import WHITE, MapImage
 from crowdbench.report.html.render import html, own
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Gaussians, read_areas
@@ -106,8 +107,8 @@ def check_clip(clip: Clip) -> None:
             raise ValueError("a person without all positions")
 
 
-def player(scene: Scene, clips: Sequence[Labelled]) -> Markup:
-    """HTML of a player; its page needs `SCRIPT` and `STYLE`.
+def player(scene: Scene, clips: Sequence[Labelled], image: MapImage | None = None) -> Markup:
+    """HTML of a player, which draws on an image of the floor; its page needs `SCRIPT` and `STYLE`.
 
     The first two clips are shown; readers choose others from a list. Clips beyond `LARGEST_BYTES`
     are left out, which the caption says.
@@ -125,6 +126,12 @@ def player(scene: Scene, clips: Sequence[Labelled]) -> Markup:
         "colours": COLOURS,
         "clips": [{"label": label, **msgspec.to_builtins(clip)} for label, clip in kept],
     }
+    if image is not None:
+        b = image.bounds
+        content["map"] = {
+            "image": _data_url(image),
+            "bounds": [b.x_min_m, b.y_min_m, b.x_max_m, b.y_max_m],
+        }
     # Nothing in a label may end the element.
     text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     return html(
@@ -136,6 +143,10 @@ def player(scene: Scene, clips: Sequence[Labelled]) -> Markup:
         left_out=len(clips) - len(kept),
         length=f"{max(clip.frames for _, clip in kept) * scene.dt_s:.0f}",
     )
+
+
+def _data_url(image: MapImage) -> str:
+    return f"data:image/jpeg;base64,{b64encode(image.jpeg(WHITE)).decode()}"
 
 
 def _unit(scene: Scene) -> float:

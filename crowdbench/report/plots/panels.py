@@ -7,6 +7,7 @@ from jaxtyping import Float, Float32
 
 from crowdbench.colours import goal_colour
 from crowdbench.data.table import Trajectories
+from crowdbench.registry.map_images import WHITE, map_of
 from crowdbench.report.plots.plot_data import Curves, Group, PlotData
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Gaussians
@@ -149,8 +150,10 @@ def patience(axis: "Axes", plot: PlotData) -> None:
 
 
 def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
-    """Draw the scene's walls, and limit the axes to its bounds, in metres."""
-    b = scene.bounds
+    """Draw the scene's walls over its map, if it has one, and limit the axes to its bounds (m)."""
+    b, image = scene.bounds, map_of(scene)
+    if image is not None:
+        axis.imshow(image.on(WHITE), extent=image.extent_m, zorder=-2)
     for wall in scene.walls:
         axis.fill(*np.array(wall.corners_m).T, color=fill, linewidth=0)
     axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
