@@ -121,6 +121,7 @@ def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
     """Each test has a CROWDBENCH_HOME of its own."""
     folder = tmp_path_factory.mktemp("home")
     monkeypatch.setenv("CROWDBENCH_HOME", str(folder))
+    monkeypatch.delenv("CROWDBENCH_MAPS", raising=False)  # studies, once imported, set it
     return folder
 
 

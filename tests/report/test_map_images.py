@@ -27,11 +27,6 @@ STRAIGHT = np.array([[0.5, 0, -4.75], [0, -0.5, 4.75], [0, 0, 1]])
 """From pixels to metres, seen from above: the middle of the first pixel is at (−4.75, 4.75)."""
 
 
-@pytest.fixture(autouse=True)
-def shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("CROWDBENCH_MAPS", raising=False)
-
-
 @pytest.fixture
 def photograph(tmp_path: Path) -> Path:
     """A blue square whose upper left quarter is red."""
