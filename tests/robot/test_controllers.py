@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drivers import PERIOD_S, Driver
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from worlds import box, square
 
@@ -90,6 +90,7 @@ def test_with_nobody_there_all_drive_straight_ahead(name: str, robot: Robot) -> 
 def test_a_rigid_motion_of_everything_changes_no_action(
     name: str, robot: Robot, angle: float, heading: float, shift: float
 ) -> None:
+    assume(abs(heading) < np.pi - 1e-3)  # away from the goal, left and right are equally good
     people = [(2.0, 0.4, -1.0, 0.1), (3.0, -1.5, 0.3, 1.0)]
     view = seen_by(robot, people, heading=heading, speed=0.5)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
