@@ -146,10 +146,10 @@ def map_(
     row_first: bool = False,
     remove: bool = False,
 ) -> None:
-    """Show a photograph of the place under pictures, players and the viewer, on this machine only.
+    """Draw figures, players and the viewer on a photograph of the place, on this machine only.
 
     Args:
-        image: photograph or plan of the place
+        image: photograph or plan of the place, PNG or JPEG
         homography: text file with the 3 × 3 matrix that maps (column, row) of its pixels to metres
         row_first: the matrix maps (row, column), as those of ETH's recordings do
         remove: remove the image again
@@ -158,6 +158,9 @@ def map_(
 
     place = crowdbench.load_scene(scene)
     path = map_path(place)
+    if remove and not (image is None and homography is None):
+        expected = "--remove alone, or IMAGE and --homography"
+        raise SettingError("crowdbench scene map", got="--remove and an image", expected=expected)
     if remove:
         path.unlink(missing_ok=True)
         print(f"{place.id} has no map now")
@@ -171,7 +174,8 @@ def map_(
         )
     add_map(place, image, homography, row_first=row_first)
     print(f"written to {path}")
-    print(f"Look: crowdbench evaluate {place.asked} --policy social-force")
+    how = f"crowdbench evaluate {place.asked} --policy social-force"
+    print(f"Check that people walk on its floor: {how}")
 
 
 @app.command

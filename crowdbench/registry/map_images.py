@@ -134,6 +134,8 @@ def warped(
 
     `matrix` maps (column, row, 1) to metres. What the picture does not show is transparent.
     """
+    from scipy.ndimage import map_coordinates  # slow to import
+
     wide_m, high_m = bounds.x_max_m - bounds.x_min_m, bounds.y_max_m - bounds.y_min_m
     per_px = max(wide_m, high_m) / LONGEST_PX
     size = max(1, round(wide_m / per_px)), max(1, round(high_m / per_px))
@@ -149,18 +151,9 @@ def warped(
         column, row = column / depth, row / depth
     inside = ahead & (column > -0.5) & (column < width - 0.5) & (row > -0.5) & (row < height - 0.5)
     found = np.zeros((*inside.shape, 4), np.uint8)
-    at = np.column_stack([column[inside], row[inside]])
-    found[inside, :3], found[inside, 3] = _between(pixels, at), 255
+    at = np.stack([row[inside], column[inside]])
+    for k in range(3):
+        colour = pixels[..., k].astype(np.float64)
+        found[inside, k] = np.round(map_coordinates(colour, at, order=1, mode="nearest"))
+    found[inside, 3] = 255
     return found, float(inside.mean())
-
-
-def _between(pixels: UInt8[np.ndarray, "h w 3"], at: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
-    """Colours at (column, row) (n, 2), interpolated between the four nearest pixels."""
-    high, wide = np.array(pixels.shape[:2]) - 1
-    column, row = at[:, 0].clip(0, wide), at[:, 1].clip(0, high)
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right, below = np.minimum(left + 1, wide), np.minimum(top + 1, high)
-    u, v = (column - left)[:, None], (row - top)[:, None]
-    upper = (1 - u) * pixels[top, left] + u * pixels[top, right]
-    lower = (1 - u) * pixels[below, left] + u * pixels[below, right]
-    return np.round((1 - v) * upper + v * lower).astype(np.uint8)

@@ -68,32 +68,28 @@ def test_matrices_of_rows_and_columns(photograph: Path, tmp_path: Path) -> None:
     assert colour_at(SQUARE, 3.0, 3.0) == (*BLUE, 255)
 
 
-CORNERS = st.lists(st.floats(-0.2, 0.2), min_size=8, max_size=8)
-
-
-@given(CORNERS)
-def test_points_of_a_photograph_are_found_on_the_floor(noise: list[float]) -> None:
-    """A camera at any angle: what is at a pixel is drawn where the matrix puts it."""
+@given(st.lists(st.floats(-0.2, 0.2), min_size=8, max_size=8))
+def test_the_floor_has_the_colours_of_the_pixels_that_show_it(noise: list[float]) -> None:
+    """A camera at any angle, and a photograph whose colours tell column and row."""
     scale = np.array([0.5, 0.5, 5, 0.5, 0.5, 5, 0.05, 0.05])
     matrix = STRAIGHT + np.append(scale * noise, 0).reshape(3, 3)
     pixels = np.zeros((PIXELS, PIXELS, 3), np.uint8)
     column, row = np.meshgrid(np.arange(PIXELS), np.arange(PIXELS))
     pixels[..., 0], pixels[..., 1] = 10 * column, 10 * row
-    found, covered = warped(pixels, matrix, SQUARE.bounds)
-    mapped = np.stack([column, row, np.ones_like(row)], axis=-1) @ matrix.T
-    ahead = mapped[..., 2] * (matrix[2] @ (10, 10, 1)) > 1e-3
-    xy = mapped[..., :2] / np.where(ahead, mapped[..., 2], 1)[..., None]
-    inside = ahead & (np.abs(xy) < 4.9).all(axis=-1)
-    inside[[0, -1]], inside[:, [0, -1]] = False, False
-    rows = ((5 - xy[inside][:, 1]) * 120).astype(int)
-    columns = ((xy[inside][:, 0] + 5) * 120).astype(int)
-    drawn = found[rows, columns].astype(int)
-    assert (drawn[:, 3] == 255).all()
-    # A pixel of the map is small: the colours are those of the photograph, or nearly.
-    steep = np.abs(np.linalg.inv(matrix)).max()
-    off = drawn[:, :2] - 10 * np.column_stack([column[inside], row[inside]])
-    assert (np.abs(off) <= 2 + 100 * steep).all()
-    assert 0 <= covered <= 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("crowdbench.registry.map_images.LONGEST_PX", 60)
+        found, covered = warped(pixels, matrix, SQUARE.bounds)
+    assert found.shape == (60, 60, 4)
+    assert covered == pytest.approx((found[..., 3] > 0).mean())
+    x, y = np.meshgrid((np.arange(60) + 0.5) / 6 - 5, 5 - (np.arange(60) + 0.5) / 6)
+    seen = np.linalg.solve(matrix, np.stack([x.ravel(), y.ravel(), np.ones(3600)]))
+    at = (seen[:2] / seen[2]).T.reshape(60, 60, 2)
+    ahead = seen[2].reshape(60, 60) * (matrix[2] @ (10, 10, 1)) > 1e-6
+    clearly = ahead & (at > 0.01).all(axis=-1) & (at < PIXELS - 1.01).all(axis=-1)
+    assert (found[clearly, 3] == 255).all()
+    np.testing.assert_allclose(found[clearly, :2], 10 * at[clearly], atol=0.51)
+    outside = ~ahead | (at < -0.51).any(axis=-1) | (at > PIXELS - 0.49).any(axis=-1)
+    assert (found[outside] == 0).all()
 
 
 def test_what_is_behind_the_camera_is_not_shown() -> None:
@@ -193,6 +189,9 @@ def test_the_command(photograph: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert main(["scene", "map", "eth-v0", str(photograph)]) == 2
     assert "got no --homography" in capsys.readouterr().err
     assert main(["scene", "map", "eth-v0", str(photograph), "--homography", matrix]) == 0
+    assert map_path(eth).exists()
+    assert main(["scene", "map", "eth-v0", str(photograph), "--remove"]) == 2
+    assert "got --remove and an image" in capsys.readouterr().err
     assert map_path(eth).exists()
     assert main(["scene", "map", "eth-v0", "--remove"]) == 0
     assert not map_path(eth).exists()
