@@ -19,7 +19,7 @@ from studies.commands.walks import walks
 PAGES = (results, walks, paper, figures, encounters, cheats, growth, speed, diagrams, tables.plans)
 TABLES = (
     *(tables.bodies, tables.exam, tables.robots, tables.sharing, tables.monte_carlo, tables.peers),
-    *(tables.cheats_search, tables.copies, tables.ceilings),
+    *(tables.cheats_search, tables.copies, tables.ceilings, tables.joint),
 )
 TRAININGS = (
     *(trainings.ablation, trainings.across, trainings.compare_observations),

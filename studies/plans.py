@@ -27,7 +27,7 @@ from crowdbench.spawn.plans.fitting import Marks, fit_plans, marks_of, trips_alo
 from crowdbench.spawn.plans.links import STAGES, Links, candidates, log_likelihood, stages
 from crowdbench.spawn.plans.mixtures import FEWEST, log_gaussians, moments
 from crowdbench.spawn.plans.way_fitting import Trips, log_speeds
-from crowdbench.spawn.plans.ways import Places, TripMixtures, Ways
+from crowdbench.spawn.plans.ways import SAME, SPEED, Places, TripMixtures, Ways, ranked
 from studies.markdown import table
 
 Pair = tuple[str, str]
@@ -111,7 +111,7 @@ def likelihoods(scene: Scene) -> list[Held]:
         found.setdefault("start, goal and speed", []).append(
             (
                 len(trips.weight),
-                float(log_trips(fitted.ways.trips, trips).sum()),
+                float(log_trips(fitted.ways.trips, trips, fitted.ways.ranks).sum()),
                 float(log_trips(apart, trips).sum()),
             )
         )
@@ -157,19 +157,24 @@ def log_joins(links: Links, marks: Marks) -> float:
     return log_likelihood(x, pairs, marks.area, same, stage)[0]
 
 
-def log_trips(mixtures: TripMixtures, trips: Trips) -> Float[np.ndarray, " n"]:
+def log_trips(
+    mixtures: TripMixtures, trips: Trips, ranks: Float[np.ndarray, "R 2"] = SAME
+) -> Float[np.ndarray, " n"]:
     """Log density of starts, goals and log speeds, given the areas.
 
     Walls and bounds, at which ways are drawn again, are left out of account.
     """
     mean, covariance = mixtures.gaussians
-    found = np.zeros(len(trips.trip))
+    drawn = trips.trip.copy()
+    drawn[:, SPEED] = ranked(drawn[:, SPEED], ranks[:, ::-1])
+    steep = np.concatenate([[1.0], np.diff(ranks[:, 0]) / np.diff(ranks[:, 1]), [1.0]])
+    found = np.log(steep[np.searchsorted(ranks[:, 1], trips.trip[:, SPEED])])
     areas = np.stack([trips.spawn_area, trips.goal_area], axis=1)
     for pair in np.unique(areas, axis=0):
         mine, at = (areas == pair).all(axis=1), mixtures.between(*pair.tolist())
-        each = log_gaussians(trips.trip[mine], mean[at], covariance[at])
+        each = log_gaussians(drawn[mine], mean[at], covariance[at])
         with np.errstate(divide="ignore"):  # rounded weights may be 0
-            found[mine] = np.logaddexp.reduce(each + np.log(mixtures.weight[at]), axis=1)
+            found[mine] += np.logaddexp.reduce(each + np.log(mixtures.weight[at]), axis=1)
     return found
 
 

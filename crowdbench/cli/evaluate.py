@@ -39,11 +39,11 @@ def evaluate(
     """Roll out crowds on a scene and compare them with its recording.
 
     Args:
-        spawn: spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, cox-gmm,
-            poisson-paper and ntpp-paper (single people); poisson-plans, ntpp-plans and cox-plans
-            (people with companions and stops); block-replay, replay, perturbed-replay (the recorded
-            people a little earlier, later and elsewhere); a folder with the fits of one model, or
-            pkg.module:Class (default: poisson-gmm, ntpp-gmm and cox-plans)
+        spawn: spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, cox-gmm, joint-gmm,
+            poisson-paper and ntpp-paper (single people); poisson-plans, ntpp-plans, cox-plans and
+            ntpp-joint (people with companions and stops); block-replay, replay, perturbed-replay
+            (the recorded people a little earlier, later and elsewhere); a folder with the fits of
+            one model, or pkg.module:Class (default: poisson-gmm, ntpp-gmm and cox-plans)
         policy: policies: straight, social-force, speed-model, guided-walker, random,
             anticipate-any, replay and recorded-paths (these two with the spawn model replay), those
             that come with the scene, FILE.onnx, a folder with such a file for each fold, or

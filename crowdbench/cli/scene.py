@@ -216,9 +216,9 @@ def fit(
     Args:
         clustering: name of the clustering settings in scene.toml
         preprocess: drop people as the founding paper does, and print how many; needs --out
-        models: spawn models to fit (default: everything, with all models but those of the founding
-            paper); only their fits are written, and the plans if they depend on them; with none,
-            areas, reference statistics and plans are written
+        models: spawn models to fit (default: everything, with all models but joint-gmm and those of
+            the founding paper); only their fits are written, and the plans if they depend on them;
+            with none, areas, reference statistics and plans are written
         fits: number of fits (default: the scene's)
         out: output folder (default: the scene's folder)
     """

@@ -18,6 +18,7 @@ from crowdbench.registry.recordings import (
     recording_of,
 )
 from crowdbench.registry.spawn_models import (
+    DEFAULT_FITS,
     DEFAULT_SPAWN,
     FITTED,
     PLANNED,
@@ -30,8 +31,8 @@ from crowdbench.registry.spawn_models import (
 )
 
 __all__ = [
-    "ANY_PLACE", "DEFAULT_SPAWN", "FITTED", "GENERATED", "PLANNED", "POLICIES", "RECORDINGS",
-    "SPAWN_MODELS", "WEIGHTS", "fitted_models", "has_recording", "import_recording",
+    "ANY_PLACE", "DEFAULT_FITS", "DEFAULT_SPAWN", "FITTED", "GENERATED", "PLANNED", "POLICIES",
+    "RECORDINGS", "SPAWN_MODELS", "WEIGHTS", "fitted_models", "has_recording", "import_recording",
     "list_policies", "list_spawn_models", "policy", "policy_source", "raw_recording_of",
     "recording", "recording_of", "spawn_model", "spawn_source", "trained_policies",
 ]  # fmt: skip

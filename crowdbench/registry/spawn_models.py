@@ -23,14 +23,23 @@ FITTED: dict[str, Any] = {
     "renewal-gmm": spawn.RenewalGMM,
     "ntpp-gmm": spawn.NtppGMM,
     "cox-gmm": spawn.CoxGMM,
+    "joint-gmm": spawn.JointGMM,
     "poisson-paper": spawn.PoissonPaper,
     "ntpp-paper": spawn.NtppPaper,
 }
 """Spawn models that are fitted to a recording; scenes ship their fits."""
-_NETWORKS = ("ntpp-gmm", "ntpp-paper")
+DEFAULT_FITS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
+"""Models that `scene fit` and `scene create` fit: all but those of the founding paper, and
+`joint-gmm`, which takes long."""
+_NETWORKS = ("ntpp-gmm", "joint-gmm", "ntpp-paper")
 WEIGHTS = {f"{name}.safetensors" if name in _NETWORKS else f"{name}.json": name for name in FITTED}
 """File name of the fits of each spawn model in `FITTED`."""
-PLANNED = {"poisson-plans": "poisson-groups", "ntpp-plans": "ntpp-gmm", "cox-plans": "cox-gmm"}
+PLANNED = {
+    "poisson-plans": "poisson-groups",
+    "ntpp-plans": "ntpp-gmm",
+    "cox-plans": "cox-gmm",
+    "ntpp-joint": "joint-gmm",
+}
 """Models of plans, and the model in `FITTED` that their times are from."""
 _PLAYED: dict[str, type[spawn.BlockReplay | spawn.PerturbedReplay | spawn.Replay]] = {
     "block-replay": spawn.BlockReplay,
@@ -184,7 +193,7 @@ def _shipped_fits(model: str, scene: Scene) -> Path:
     file = next(scene.folder / file for file, name in WEIGHTS.items() if name == model)
     if not file.is_file():
         torch = " (it needs torch, the extra `fit`)" if model in _NETWORKS else ""
-        extra = " --models " + model if model.endswith("-paper") else ""
+        extra = " --models " + model if model not in DEFAULT_FITS else ""
         others = ", ".join(fitted_models(scene))
         raise WeightsError(
             file,

@@ -22,8 +22,8 @@ from crowdbench.files import replacing, temporary_folder, unwritable, write_text
 from crowdbench.metrics import METRICS, metrics_for
 from crowdbench.policies.guided import ANYWHERE
 from crowdbench.progress import whole
+from crowdbench.registry import DEFAULT_FITS, recording_of
 from crowdbench.registry import recording as named_recording
-from crowdbench.registry import recording_of
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import picture
 from crowdbench.report.plots.plot_data import PlotData
@@ -243,7 +243,7 @@ def _build(new: NewScene, toml: str, crowd: Trajectories, workers: int) -> Creat
 def _fill(built: Path, crowd: Trajectories, workers: int) -> dict[str, str]:
     """Compute all files of the scene except `scene.toml`; returns results for a table."""
     scene = load_scene(built)
-    models = fit.MODELS if fit.has_torch() else tuple(m for m in fit.MODELS if m != "ntpp-gmm")
+    models = tuple(m for m in DEFAULT_FITS if m != "ntpp-gmm" or fit.has_torch())
     facts = fit.fit_scene(scene, crowd, models=models, workers=workers)
     if "ntpp-gmm" not in models:
         facts["ntpp-gmm"] = "left out: fitting needs torch (extra `fit`)"

@@ -16,7 +16,7 @@ from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import SceneError, SettingError, WeightsError, did_you_mean, to_install
 from crowdbench.files import unwritable, write_text
 from crowdbench.progress import tell, whole
-from crowdbench.registry import FITTED, PLANNED, fitted_models
+from crowdbench.registry import DEFAULT_FITS, FITTED, PLANNED, fitted_models
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scene import Scene
 from crowdbench.scene_building.plan_calibration import adjustment
@@ -30,12 +30,11 @@ from crowdbench.spawn.plans.fitting import fit_plans
 from crowdbench.spawn.plans.links import Adjustment
 from crowdbench.spawn.plans.planned import PlannedAreas
 
-MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
-"""Models that are fitted by default: all but those of the founding paper."""
 MOST_FITS = 100
 """Largest number of fits of a model, and of rollouts of each."""
 NEURAL = {
     "ntpp-gmm": "crowdbench.spawn.ntpp.training",
+    "joint-gmm": "crowdbench.spawn.joint.training",
     "ntpp-paper": "crowdbench.spawn.paper.training",
 }
 """Modules that train the neural models with torch."""
@@ -59,8 +58,9 @@ def fit_scene(
     """Fit the areas, statistics, spawn models and plans of a scene; write them to it or to `out`.
 
     Each spawn model is fitted to the whole recording and for each fold. By default all files are
-    written, with the fits of `MODELS`. If `models` are named, only their fits are, and the plans
-    if their times are from one of them; areas and statistics only into a folder without areas.
+    written, with the fits of `registry.DEFAULT_FITS`. If `models` are named, only their fits are,
+    and the plans if their times are from one of them; areas and statistics only into a folder
+    without areas.
     With none, areas, statistics and plans are written. With `preprocess`, people
     are dropped as in the founding paper (by default as `scene.toml` says); `out` becomes a scene
     of the others. `training` holds changes
@@ -85,7 +85,7 @@ def fit_scene(
             else "",
         )
     scene, recording, dropped = _preprocessed(scene, recording, preprocess, out)
-    named = MODELS if models is None else models
+    named = DEFAULT_FITS if models is None else models
     settings = _all_settings(named, training or {})
     fits = scene.protocol.fits if fits is None else fits
     if not 1 <= fits <= MOST_FITS:

@@ -3,6 +3,7 @@
 from crowdbench.spawn.areas import Areas, fit_areas
 from crowdbench.spawn.block_replay import BlockReplay
 from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals_of
+from crowdbench.spawn.joint.model import JointGMM
 from crowdbench.spawn.model import FittedModel, SpawnModel
 from crowdbench.spawn.ntpp.model import NtppGMM
 from crowdbench.spawn.paper.model import NtppPaper
@@ -15,8 +16,8 @@ from crowdbench.spawn.times.poisson import PoissonGMM, PoissonGroups, PoissonPap
 from crowdbench.spawn.times.renewal import RenewalGMM
 
 __all__ = [
-    "Addition", "Areas", "Arrivals", "BlockReplay", "Change", "CoxGMM", "FittedModel", "NtppGMM",
-    "NtppPaper", "PerturbedReplay", "PoissonGMM", "PoissonGroups", "PoissonPaper", "RenewalGMM",
-    "Replay", "Scenario", "SpawnEvents", "SpawnModel", "Steered", "arrivals_in", "arrivals_of",
-    "fit_areas",
+    "Addition", "Areas", "Arrivals", "BlockReplay", "Change", "CoxGMM", "FittedModel", "JointGMM",
+    "NtppGMM", "NtppPaper", "PerturbedReplay", "PoissonGMM", "PoissonGroups", "PoissonPaper",
+    "RenewalGMM", "Replay", "Scenario", "SpawnEvents", "SpawnModel", "Steered", "arrivals_in",
+    "arrivals_of", "fit_areas",
 ]  # fmt: skip

@@ -62,7 +62,7 @@ def exam(
     column: Sequence[Literal["published", "calibrated"]] = ("published", "calibrated"),
     workers: int = 1,
 ) -> None:
-    """Put the models through the exam; their entries have its verdicts (an hour).
+    """Put the models through the exam; their entries have its verdicts (half an hour for each).
 
     Args:
         model: names of models, by default all

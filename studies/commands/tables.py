@@ -19,6 +19,17 @@ def plans(scenes: list[str], /) -> None:
     print(page(scenes), end="")
 
 
+def joint(scenes: list[str] | None = None, /) -> None:
+    """Print the page on one neural process for all areas (half an hour).
+
+    Args:
+        scenes: ids of recorded scenes (default: all)
+    """
+    from studies.joint import SCENES, page
+
+    print(page(scenes or SCENES), end="")
+
+
 def bodies(scenes: list[str] | None = None, /) -> None:
     """Print the page on the radius of bodies, and on the scenes that have them (minutes).
 

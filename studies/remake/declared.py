@@ -26,6 +26,8 @@ from crowdbench.run.resolved import MODELS, Resolved, code_of_rollouts
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.fit import NEURAL
 from crowdbench.scoring.scorecard import BASELINES
+from crowdbench.spawn.joint import trunks
+from crowdbench.spawn.joint.model import NAME as JOINT
 from studies.clips import FILE as CLIPS
 from studies.clips import pair_of, split_of
 from studies.copy_limits import HONEST
@@ -34,6 +36,7 @@ from studies.remake.graph import Result
 AREAS, PLANS = "scenes/{}/areas.json", "scenes/{}/plans.json"
 REFERENCE, ANCHORS_FILE = "scenes/{}/reference.json.gz", "scenes/{}/anchors.json.gz"
 FIT = "scenes/{}/{}"
+TRUNKS = f"scenes/{trunks.FILE}"
 ENTRY = "leaderboard/entries/{}.json.gz"
 PEERS = ("leaderboard/entries/jupedsim-*.json.gz", "leaderboard/entries/pysocialforce-*.json.gz")
 COUNTS = "counts.json"
@@ -62,7 +65,22 @@ def scenes_and_entries() -> list[Result]:
         facts={"code": joined([code_hash("studies.site", cut=MODELS)])},
     )
     walkers = [_walker(scene) for scene in REAL]
-    return [*of_scenes, *walkers, _limits(), *entries, peers, *clips, board]
+    return [_trunks(), *of_scenes, *walkers, _limits(), *entries, peers, *clips, board]
+
+
+def _trunks() -> Result:
+    """The networks of `joint-gmm` that have learned from several scenes."""
+    facts: dict[str, str] = {}
+    for place in REAL:
+        facts |= facts_of(place)
+    codes = [code_hash("crowdbench.baselines.joint"), *map(_reading, REAL)]
+    return Result(
+        "trunks",
+        (TRUNKS,),
+        (("python", "-m", "crowdbench.baselines.joint"),),
+        files=tuple(AREAS.format(place) for place in REAL),
+        facts=facts | {"code": joined(codes)},
+    )
 
 
 def _walker(scene: str) -> Result:
@@ -161,7 +179,7 @@ def _of_scene(scene: str) -> Iterator[Result]:
             f"fits/{scene}/{name}",
             (file,),
             ((*fit, name),),
-            files=(areas,),
+            files=(areas, TRUNKS) if name == JOINT else (areas,),
             facts=facts | {"code": joined([code, shared])},
         )
     times = [fitted[name] for name in dict.fromkeys(PLANNED.values()) if name in fitted]

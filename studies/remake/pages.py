@@ -18,6 +18,9 @@ from studies.copies import SCENES as COPIED
 from studies.exam import POLICIES as EXAMINED
 from studies.figures import BASELINE, BEST, WALKERS
 from studies.figures import SPAWN as DRAWN
+from studies.joint import ENTRIES as JOINT_BESIDE
+from studies.joint import PLANS as JOINTLY
+from studies.joint import TIMES
 from studies.monte_carlo import PAIRS as MONTE_CARLO
 from studies.moving_picture import CROWDS as SHOWN
 from studies.paper.study import walker_of
@@ -241,6 +244,15 @@ def _experiments() -> Iterator[Result]:
         trains=True,
         stdout="docs/plans.md",
     )
+    joint = _page(
+        "docs/joint",
+        ("docs/joint.md",),
+        [("python", "-m", "studies", "joint")],
+        "studies.joint",
+        {s: [(model, "straight") for model in (*TIMES, *JOINTLY)] for s in scenes},
+        stdout="docs/joint.md",
+    )
+    yield replace(joint, files=(*joint.files, *map(ENTRY.format, JOINT_BESIDE)))
     yield _page(
         "docs/ablation",
         ("docs/ablation.md",),

@@ -16,9 +16,9 @@ from crowdbench.data.recordings.catalogue import SOURCES, read_published
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.progress import heard_by
-from crowdbench.registry import recording, spawn_model
+from crowdbench.registry import DEFAULT_FITS, recording, spawn_model
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scene_building.fit import MODELS, fit_scene
+from crowdbench.scene_building.fit import fit_scene
 from crowdbench.spawn import Arrivals, NtppGMM, NtppPaper, arrivals_of, fit_areas
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
@@ -61,7 +61,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 @pytest.mark.parametrize("split", SPLITS)
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", DEFAULT_FITS)
 def test_samples_have_the_recorded_persons_per_minute_and_area_from_the_first_frames_on(
     case: Case, name: str, split: str
 ) -> None:

@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.registry import import_recording
+from crowdbench.registry import DEFAULT_FITS, import_recording
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building import spawn_diagnostics
-from crowdbench.scene_building.fit import MODELS
 from crowdbench.scene_building.spawn_diagnostics import Checked, check_models
 
 HIDDEN = "cox-gmm"
@@ -41,7 +40,7 @@ def test_nothing_explains_fresh_data_better_than_the_truth(plaza: dict[str, Chec
     assert min(fresh, key=lambda name: fresh[name] or -99.0) == "poisson-gmm"
 
 
-@pytest.mark.parametrize("model", [name for name in MODELS if name != HIDDEN])
+@pytest.mark.parametrize("model", [name for name in DEFAULT_FITS if name != HIDDEN])
 def test_samplers_follow_their_own_density(plaza: dict[str, Checked], model: str) -> None:
     for found in (plaza[model].own_gaps, plaza[model].own_sizes):
         assert found is not None
@@ -65,14 +64,14 @@ def test_a_model_of_hidden_rates_has_no_gaps_to_rescale(plaza: dict[str, Checked
 
 
 def counts_hold(found: dict[str, Checked], first: float) -> None:
-    for name in MODELS:
+    for name in DEFAULT_FITS:
         if name in found:
             assert found[name].persons == pytest.approx(1, abs=0.10), name
             assert found[name].first == pytest.approx(1, abs=first), name
 
 
 def test_samples_let_in_as_many_as_were_recorded_on_the_plaza(plaza: dict[str, Checked]) -> None:
-    assert set(MODELS) < set(plaza)
+    assert set(DEFAULT_FITS) < set(plaza)
     # A network begins without a past, which on the plaza means that it is calm.
     counts_hold(plaza, first=0.45)
 
@@ -109,6 +108,6 @@ def test_the_command_prints_a_row_per_model(
     monkeypatch.setattr(spawn_diagnostics, "check_models", known)
     assert main(["spawn", "test", "plaza-v0"]) == 0
     printed = capsys.readouterr().out
-    for name in ("plaza-truth", *MODELS):
+    for name in ("plaza-truth", *DEFAULT_FITS):
         assert name in printed
     assert "ntpp-gmm has a trained network in 4 of 4 areas" in " ".join(printed.split())

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import binomtest, ks_2samp, kstest, multivariate_normal, norm
 
 from crowdbench.registry import recording_of
@@ -13,7 +15,7 @@ from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plans.fitting import fit_plans, marks_of, trips_alone
 from crowdbench.spawn.plans.mixtures import log_gaussians
 from crowdbench.spawn.plans.way_fitting import Trips, fit_ways
-from crowdbench.spawn.plans.ways import Ways
+from crowdbench.spawn.plans.ways import SAME, SPEED, Ways, ranked
 from studies.plans import log_stopping, log_stops, log_trips
 
 PLAZA = load_scene("plaza-v0")
@@ -63,7 +65,63 @@ def test_trips_have_the_density_of_the_model(ways: Ways, drawn: Trips) -> None:
     number = rng.choice(len(weight), NUMBER, p=weight / weight.sum())
     trip = np.stack([rng.multivariate_normal(mean[k], covariance[k]) for k in number])
     expected = log_trips(ways.trips, replace(drawn, trip=trip))
-    assert ks_2samp(log_trips(ways.trips, drawn), expected).statistic < 0.04
+    trip[:, 4] = ranked(trip[:, 4], ways.ranks)
+    of_ranked = log_trips(ways.trips, replace(drawn, trip=trip), ways.ranks)
+    found = log_trips(ways.trips, drawn, ways.ranks)
+    assert ks_2samp(found, of_ranked).statistic < 0.04
+    assert not np.allclose(of_ranked, expected)
+    before = ranked(trip[:, 4], ways.ranks[:, ::-1])
+    step = 1e-6
+    slope = (ranked(before + step, ways.ranks) - ranked(before, ways.ranks)) / step
+    smooth = np.isclose(slope, (trip[:, 4] - ranked(before - step, ways.ranks)) / step, rtol=1e-3)
+    assert smooth.mean() > 0.99
+    np.testing.assert_allclose(of_ranked[smooth], (expected - np.log(slope))[smooth], atol=1e-5)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.01, 1), st.floats(0.01, 1)), min_size=2, max_size=8),
+    st.lists(st.floats(-5, 5), min_size=1, max_size=20),
+)
+def test_ranks_keep_the_order_and_are_undone_by_their_inverse(
+    steps: list[tuple[float, float]], numbers: list[float]
+) -> None:
+    ranks, x = np.cumsum(steps, axis=0) - 1.0, np.sort(numbers)
+    moved = ranked(x, ranks)
+    assert (np.diff(moved) >= 0).all()
+    np.testing.assert_allclose(ranked(moved, ranks[:, ::-1]), x, atol=1e-9)
+    np.testing.assert_allclose(ranked(ranks[:, 0], ranks), ranks[:, 1])
+    np.testing.assert_array_equal(ranked(x, SAME), x)
+
+
+def test_drawn_speeds_are_as_skewed_as_recorded_ones() -> None:
+    """Recorded speeds, not their logarithms, are Gaussian here, with slow people besides."""
+    crowd = recording_of(PLAZA)
+    areas = read_areas(PLAZA)
+    marks = marks_of(crowd, blocks_of(crowd, PLAZA))
+    trips = trips_alone(crowd, marks, 0.0)
+    rng = np.random.default_rng(0)
+    speed = np.where(rng.random(len(trips.trip)) < 0.1, 0.6, rng.normal(1.4, 0.15, len(trips.trip)))
+    skewed = trips.trip.copy()
+    skewed[:, SPEED] = np.log(speed * rng.uniform(0.99, 1.01, len(speed)))
+    fitted = fit_ways(replace(trips, trip=skewed), areas)
+    rows = rng.choice(len(skewed), NUMBER, p=trips.weight / trips.weight.sum())
+    a, g = trips.spawn_area[rows], trips.goal_area[rows]
+
+    def apart(ways: Ways) -> float:
+        found = ways.draw(a, g, PLAZA, np.random.default_rng(1))
+        return float(ks_2samp(found[:, SPEED], skewed[rows, SPEED]).statistic)
+
+    assert apart(fitted) < 0.05 < 0.1 < apart(replace(fitted, ranks=SAME))
+
+
+def test_few_people_have_no_ranks() -> None:
+    crowd = recording_of(PLAZA)
+    marks = marks_of(crowd, blocks_of(crowd, PLAZA))
+    trips = trips_alone(crowd, marks, 0.0)
+    few = trips.chosen(np.arange(len(trips.weight)) < 15)
+    assert fit_ways(few, read_areas(PLAZA)).ranks is SAME
+    alike = replace(few, trip=np.where(np.arange(5) == SPEED, 0.2, few.trip))
+    assert fit_ways(alike, read_areas(PLAZA)).ranks is SAME
 
 
 def test_people_stop_with_the_probability_of_the_model(ways: Ways, drawn: Trips) -> None:

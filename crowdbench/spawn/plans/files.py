@@ -30,6 +30,7 @@ class _Ways(msgspec.Struct, frozen=True, forbid_unknown_fields=True, eq=False):
     bend_covariance: Float[np.ndarray, "K G 2 2"]
     bend_mean: Float[np.ndarray, "K G 2"]
     from_area: Float[np.ndarray, "C K"]
+    ranks: Float[np.ndarray, "R 2"]
     stop_covariance: Float[np.ndarray, "C 3 3"]
     stop_mean: Float[np.ndarray, "C 3"]
     stopping: Float[np.ndarray, "K G"]
@@ -75,6 +76,9 @@ class PlansFit(Fit, frozen=True):
         known = ((trips.own >= 0) & (trips.own < both)).all()
         different = len(np.unique(trips.own, axis=0)) == len(trips.own)
         yield "trips.own", known and different, "different pairs of places"
+        ranks = self.ways.ranks
+        rising = len(ranks) >= 2 and (np.diff(ranks, axis=0) > 0).all()
+        yield "ways.ranks", rising, "two or more pairs of ascending numbers"
         for name, matrices in (
             ("trips.covariance", trips.covariance),
             ("offset_covariance", self.covariance),
@@ -84,7 +88,7 @@ class PlansFit(Fit, frozen=True):
             yield name, are_definite(matrices), DEFINITE
 
 
-PLANS = FitFile("plans", 4, PlansFit, compact=True)
+PLANS = FitFile("plans", 5, PlansFit, compact=True)
 FILE = PLANS.name
 
 

@@ -27,6 +27,7 @@ _LEAST_VARIANCE_M2 = 0.05
 """Of 0.01, 0.02, 0.03, 0.05 and 0.09: with less, held-out people of ETH are 0.05 nats or more less
 likely, with more those of Grand Central and the Forum 0.02."""
 _STEPS = 10  # 30 change held-out likelihoods by 0.002 nats
+_MOST_RANKS, _FINER, _LEAST_STEP = 32, 10, 1e-4
 _FEW_STOPS = 0.5
 _LEAST_VARIANCE = 1e-2
 _USUAL_BENDS = np.zeros(ways.BEND), np.diag([0.04, 0.25])
@@ -97,12 +98,14 @@ def fit_ways(trips: Trips, areas: Areas) -> ways.Ways:
     shape = len(areas.spawn), len(areas.goal)
     bend_mean, bend_covariance = _bends(trips.chosen(~trips.stops), shape)
     places = _stops(trips, shape)
+    mixture = fit_trips(trips, areas)
     return ways.Ways(
-        fit_trips(trips, areas),
+        mixture,
         bend_mean,
         bend_covariance,
         _stopping(trips, shape) * (len(places[0]) > 0),
         *places,
+        ranks=_ranks(mixture, trips),
         longer=np.zeros(shape[0]),
         fastest_mps=max(float(np.exp(trips.trip[:, ways.SPEED].max())), 1.01 * SLOWEST_MPS),
     )
@@ -238,6 +241,43 @@ def fit_trips(trips: Trips, areas: Areas) -> ways.TripMixtures:
         mean=np.concatenate(mean),
         covariance=np.concatenate(covariance),
     )
+
+
+def _ranks(mixture: ways.TripMixtures, trips: Trips) -> Float[np.ndarray, "R 2"]:
+    """Mean log speeds of the mixture, and recorded ones, of people of about the same rank.
+
+    So that no speed of a person can be read from them, they are means over ten people or more.
+    """
+    count = min(int(len(trips.weight) / mixtures.FEWEST), _MOST_RANKS)
+    if count < 2:
+        return ways.SAME
+    rank = (np.arange(count * _FINER) + 0.5) / (count * _FINER)
+    speed = trips.trip[:, ways.SPEED]
+    order = np.argsort(speed, kind="stable")
+    weight = trips.weight[order] / trips.weight.sum()
+    recorded = np.interp(rank, weight.cumsum() - weight / 2, speed[order])
+    both = np.stack([_quantiles(mixture, trips, rank), recorded])
+    found = both.reshape(2, count, _FINER).mean(axis=2).T
+    # Where many people had the same speed, it has one rank.
+    apart = np.diff(found, axis=0, prepend=-np.inf).min(axis=1) > _LEAST_STEP
+    return found[apart] if apart.sum() >= 2 else ways.SAME
+
+
+def _quantiles(mixture: ways.TripMixtures, trips: Trips, rank: Numbers) -> Numbers:
+    """Quantiles of the log speeds that are drawn for people between the same areas."""
+    from scipy.special import ndtr
+
+    mean, covariance = mixture.gaussians
+    share = np.zeros(mixture.weight.shape)
+    for a, g in np.unique(np.stack([trips.spawn_area, trips.goal_area], axis=1), axis=0).tolist():
+        people = trips.weight[(trips.spawn_area == a) & (trips.goal_area == g)].sum()
+        at = mixture.between(a, g)
+        share[at] += people * mixture.weight[at]
+    chosen = share > 0
+    mean, sd = mean[chosen, ways.SPEED], np.sqrt(covariance[chosen, ways.SPEED, ways.SPEED])
+    x = np.linspace((mean - 5 * sd).min(), (mean + 5 * sd).max(), 2_000)
+    below = ndtr((x[:, None] - mean) / sd) @ (share[chosen] / share.sum())
+    return np.interp(rank, below, x)
 
 
 def log_speeds(trips: Trips) -> Float[np.ndarray, " 2"]:

@@ -10,7 +10,8 @@ Given the spawn area a and the goal area g, which is drawn from the flows of the
   together, with a probability that depends on both: who enters on the left goes to the left. Given
   both places, start, goal and log speed are Gaussian. The pairs of places that ten people or more
   walked have a Gaussian of their own. The others have the product of those of both places and of
-  all people's log speeds.
+  all people's log speeds. Log speeds are then moved to those of the same rank among recorded ones:
+  those of people have fewer fast and more slow ones than a Gaussian.
 - Those who do not stop have a *bend*: the point of their path that is furthest from the straight
   line from start to goal, as the fraction along it and the distance from it. The pairs (a, g) that
   ten people or more have walked have a Gaussian of bends, drawn towards that of all people with the
@@ -55,6 +56,8 @@ DrawnWays = Float[np.ndarray, "n 8"]
 straight, the log wait for those who do not stop."""
 OFF_M = 0.75
 """Smallest bend that is a via point."""
+SAME = np.array([[0.0, 0.0], [1.0, 1.0]])
+"""Ranks that change nothing."""
 _DRAWS = 1000
 _DRAWS_IN_PLACE = 50  # one in ten has room in the worst place of Grand Central
 
@@ -180,6 +183,8 @@ class Ways:
     """P(component | spawn area), but for a factor."""
     to_area: Float[np.ndarray, "C G"]
     """P(component | goal area), but for a factor."""
+    ranks: Float[np.ndarray, "R 2"]
+    """Ascending log speeds as drawn, and recorded ones of the same ranks; see `ranked`."""
     longer: Float[np.ndarray, " K"]
     """Added to the log waits of people from each spawn area; 0 unless it is steered."""
     fastest_mps: float
@@ -212,6 +217,7 @@ class Ways:
             bend_covariance=np.broadcast_to(
                 self.bend_covariance.mean(axis=0), (*shape, BEND, BEND)
             ),
+            ranks=SAME,
             stopping=np.zeros(shape),
             from_area=np.ones((len(self.stop_mean), shape[0])),
             longer=np.zeros(shape[0]),
@@ -237,6 +243,7 @@ class Ways:
             a, g, stops = spawn_area[open_], goal_area[open_], stopping[open_]
             drawn = np.full((len(open_), 8), np.nan)
             drawn[:, :5] = self.trips.draw(chosen[open_], rng)
+            drawn[:, SPEED] = ranked(drawn[:, SPEED], self.ranks)
             drawn[stops, 5:8] = self._stops(a[stops], g[stops], rng)
             drawn[~stops, VIA] = self._bends(a[~stops], g[~stops], drawn[~stops], rng)
             ends, via = have_room(drawn, scene)
@@ -273,6 +280,16 @@ class Ways:
         across = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
         via = ways[:, START] + along.clip(0.05, 0.95)[:, None] * way + left[:, None] * across
         return np.asarray(np.where(np.abs(left)[:, None] > OFF_M, via, np.nan))
+
+
+def ranked(x: Numbers, ranks: Float[np.ndarray, "R 2"]) -> Numbers:
+    """Numbers moved as the first column of `ranks` is to the second one.
+
+    Linear in between; beyond the ends as far as before.
+    """
+    before, after = ranks.T
+    beyond = np.minimum(x - before[0], 0) + np.maximum(x - before[-1], 0)
+    return np.asarray(np.interp(x, before, after) + beyond)
 
 
 def have_room(ways: DrawnWays, scene: Scene) -> tuple[Flags, Flags]:

@@ -86,9 +86,9 @@ class CoxGMM(Fitted):
         waves = fit_waves(arrivals)
         counts = arrivals.counts()
         mean = counts.mean(axis=0)
-        excess = _excess(arrivals, waves, len(_bins(arrivals.grid_s)))
+        excess = _excess(arrivals, waves, len(lags(arrivals.grid_s)))
         followers = _followers(excess.sum(axis=1) / max(mean.sum(), 1e-12), arrivals.grid_s)
-        due = _spread(followers, arrivals.grid_s) @ excess[1:]
+        due = spread(followers, arrivals.grid_s) @ excess[1:]
         return cls(
             areas,
             mean / arrivals.grid_s,
@@ -103,7 +103,7 @@ class CoxGMM(Fitted):
         from crowdbench.spawn.times.cox_kernels import drawn
 
         points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
-        following = _spread(self.followers, self.grid_s)
+        following = spread(self.followers, self.grid_s)
         before = _WARM_UP * len(following)
         width = self._width()
         steps = -(-(before + points) // width)
@@ -154,7 +154,7 @@ class CoxGMM(Fitted):
         """Rates of groups that follow those who entered; before the first step, the mean number."""
         from scipy.signal import lfilter
 
-        following = _spread(self.followers, self.grid_s)
+        following = spread(self.followers, self.grid_s)
         mean = self.rate_per_s * self.grid_s
         past = np.broadcast_to(mean, (len(following), len(mean)))
         rates = lfilter([0.0, *following], [1.0], np.concatenate([past, counts]), axis=0)
@@ -172,17 +172,17 @@ class CoxGMM(Fitted):
         return super()._of_fit(fit, areas, scene, waves=Waves(fit.tau_s, fit.covariance))
 
 
-def _bins(grid_s: float) -> Int[np.ndarray, " H"]:
-    """Bin of each delay of 1, 2, … grid steps that is not longer than 6 s."""
+def lags(grid_s: float) -> Int[np.ndarray, " H"]:
+    """Bin of `FOLLOWING_S` of each delay of 1, 2, … grid steps that is not longer than 6 s."""
     delay = np.arange(1, int(FOLLOWING_S[-1] / grid_s + 1e-6) + 1) * grid_s
     return np.asarray(np.searchsorted(FOLLOWING_S, delay, side="right") - 1).clip(
         0, len(FOLLOWING_S) - 2
     )
 
 
-def _spread(followers: Float[np.ndarray, " F"], grid_s: float) -> Float[np.ndarray, " H"]:
+def spread(followers: Float[np.ndarray, " F"], grid_s: float) -> Float[np.ndarray, " H"]:
     """φ at each delay: the numbers of each bin, spread over its grid steps."""
-    of_bin = _bins(grid_s)
+    of_bin = lags(grid_s)
     return np.asarray(followers / np.bincount(of_bin, minlength=len(followers)).clip(1))[of_bin]
 
 
@@ -205,7 +205,7 @@ def _followers(excess: Float[np.ndarray, " H"], grid_s: float) -> Float[np.ndarr
     from scipy.linalg import toeplitz
     from scipy.optimize import nnls
 
-    of_bin = _bins(grid_s)
+    of_bin = lags(grid_s)
     found = np.zeros(len(FOLLOWING_S) - 1)
     if len(of_bin) == 0 or excess[0] <= 0:
         return found

@@ -1,0 +1,1 @@
+"""`joint-gmm`: one network for the arrivals at all areas of a scene."""
