@@ -14,6 +14,7 @@ from pathlib import Path
 
 from crowdbench import registry
 from crowdbench.errors import CrowdbenchError
+from crowdbench.files import unwritable
 from crowdbench.scene import load_scene, scenes_folder
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import Arrivals, arrivals_of, blocks_of
@@ -35,7 +36,16 @@ def arrivals_at(place: str) -> Arrivals:
 
 
 def trained(places: Sequence[str], folder: Path, settings: JointSettings = DEFAULT) -> Path:
-    """Train networks on all of these places but one, and on all; returns the file."""
+    """Train networks on all of these places but one, and on all; returns the file.
+
+    Raises:
+        OutputError: the folder cannot be written.
+        RecordingError: a recording has not been imported.
+    """
+    try:  # before minutes of training
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
     arrivals = {place: arrivals_at(place) for place in places}
     trunks = {}
     for out in (*places, ANYWHERE):

@@ -246,7 +246,8 @@ def fit_trips(trips: Trips, areas: Areas) -> ways.TripMixtures:
 def _ranks(mixture: ways.TripMixtures, trips: Trips) -> Float[np.ndarray, "R 2"]:
     """Mean log speeds of the mixture, and recorded ones, of people of about the same rank.
 
-    So that no speed of a person can be read from them, they are means over ten people or more.
+    So that no speed of a person can be read from them, they are means over about ten people or more
+    (with unequal weights, at least seven on ETH).
     """
     count = min(int(len(trips.weight) / mixtures.FEWEST), _MOST_RANKS)
     if count < 2:
