@@ -35,9 +35,10 @@ _INTRODUCTION = """# One neural process for the whole place
 
 The founding paper models each spawn area by a neural process of its own, and ends with the limit of
 that: independent processes cannot model how groups enter. It asks for joint models that are trained
-end-to-end. `joint-gmm` is one: a small network sees the recent arrivals at an area and at all areas
-([spawn models](spawn-models.md)), and it has learned from the other places before it is fitted to
-one. `ntpp-joint` has its times, and the companions, ways and stops of `cox-plans` and `ntpp-plans`.
+end-to-end. `joint-gmm` is a step towards them. One small network sees the recent arrivals at an
+area and at all areas ([spawn models](spawn-models.md)), and models when and where how many people
+enter. It learns from the other places before it is fitted to one. Goals are not part of it:
+`ntpp-joint` has its times, and the companions, ways and stops of `cox-plans` and `ntpp-plans`.
 This page is the output of `python -m studies joint`.
 """
 _HELD_OUT = """## Held-out likelihood
@@ -45,7 +46,7 @@ _HELD_OUT = """## Held-out likelihood
 Nats per person of the blocks that a model was not fitted to, all folds together: mean over five
 fits, and in brackets the least and most. Higher is better; a difference of 0.1 means that the
 recorded arrivals of a person are 10 % more likely. The likelihood of `cox-gmm` is a lower bound.
-*ten new hours* of the plaza are from its true process, which nobody can beat.
+*ten new hours* of the plaza are from its true process, which no model can beat.
 """
 _SCORES = """## Scores on the track *spawn*
 
